@@ -1,0 +1,214 @@
+"""Where everything stands: the stated setting and its errors as one rigid placement in the world frame.
+
+The aim is a convention of the bench, not a result of a simulation, so `vector`, `rays` and `render` share it; what
+light does from there on each of them works out for itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.model import Camera, Exposure, Mirror
+
+Array = NDArray[np.float64]
+
+
+def toward_source(azimuth: float, elevation: float) -> Array:
+    """Unit vector toward the source (Carretero 2019, Eq. (1)); travel is its negative.
+
+    Parameters
+    ----------
+    azimuth, elevation : float
+        From north (+x) toward east (−y), and above the horizon [rad].
+
+    Returns
+    -------
+    (3,) ndarray
+    """
+    ce = np.cos(elevation)
+    return np.array([ce * np.cos(azimuth), -ce * np.sin(azimuth), np.sin(elevation)])
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Nominal aim of one exposure: n(0,0), axis of rotation, P = C + r n, all world frame, mm."""
+
+    source: Array
+    normal: Array
+    axis: Array
+    point: Array
+
+
+def ideal_normal(centre: Array, source: Array, radius: float, iterations: int = 100) -> Array:
+    """n(0,0): bisects the direction to the source and that from P = C + r n to the screen's centre.
+
+    Carretero 2019, Eq. (17), iterated to convergence with S toward the source and O − P toward the target (the
+    paper's signs, see the design's traps). Each step contracts by about r/|C|.
+
+    Parameters
+    ----------
+    centre : (3,) array
+        C, the centre of rotation [mm].
+    source : (3,) array
+        Unit vector toward the source.
+    radius : float
+        r, distance from C to the reflecting surface [mm].
+
+    Returns
+    -------
+    (3,) ndarray
+        Unit normal.
+
+    Raises
+    ------
+    BenchsimError
+        If source and target lie in exactly opposite directions, where no mirror can aim.
+    """
+    n = np.zeros(3)
+    for _ in range(iterations):
+        to_target = -(centre + radius * n)
+        bisector = source + to_target / np.linalg.norm(to_target)
+        length = np.linalg.norm(bisector)
+        if length < 1e-9:
+            raise BenchsimError("the laser shines from behind the mirror straight at the screen; no mirror can aim that")
+        previous, n = n, bisector / length
+        if np.max(np.abs(n - previous)) < 1e-16:
+            break
+    return n
+
+
+def rotation_axis(normal: Array, stands_for: str) -> Array:
+    """Axis of the mirror: along z × n ("elevation"), or n × (z × n) ("azimuth"); unit, world frame."""
+    horizontal = np.cross([0.0, 0.0, 1.0], normal)
+    length = np.linalg.norm(horizontal)
+    if length < 1e-9:
+        raise BenchsimError("the mirror's normal is vertical, so its elevation axis is not defined; move the mirror or laser")
+    horizontal /= length
+    return horizontal if stands_for == "elevation" else np.cross(normal, horizontal)
+
+
+def aim(mirror: Mirror, exposure: Exposure, radius: float | None = None) -> Aim:
+    """Aim the mirror and the laser as the setting states them.
+
+    Parameters
+    ----------
+    mirror, exposure
+        What is aimed.
+    radius : float, optional
+        r used for the aim [mm]; default the mirror's own.
+
+    Returns
+    -------
+    Aim
+    """
+    r = mirror.radius if radius is None else radius
+    centre = np.asarray(exposure.mirror_position, float)
+    source = toward_source(exposure.laser_azimuth, exposure.laser_elevation)
+    normal = ideal_normal(centre, source, r)
+    return Aim(source, normal, rotation_axis(normal, mirror.stands_for), centre + r * normal)
+
+
+def _zeros(n: int) -> Array:
+    return np.zeros(n)
+
+
+@dataclass(frozen=True)
+class SettingErrors:
+    """True minus stated, for one exposure; zero is the stated setting.
+
+    Attributes
+    ----------
+    mirror_position : (3,) mm
+        Of C, world x, y, z.
+    mirror_axis : (2,) rad
+        Turn of the mirror's body about n and about n × axis.
+    laser_direction : (2,) rad
+        Added to the azimuth and elevation dials; the beam still passes through the nominal P.
+    screen_position : (3,) mm
+        Re-seating of the board's centre, world x, y, z.
+    screen_angle : (3,) rad
+        Re-seating turn of the board about world x, y, z (a rotation vector), after its roll.
+    """
+
+    mirror_position: Array = field(default_factory=lambda: _zeros(3))
+    mirror_axis: Array = field(default_factory=lambda: _zeros(2))
+    laser_direction: Array = field(default_factory=lambda: _zeros(2))
+    screen_position: Array = field(default_factory=lambda: _zeros(3))
+    screen_angle: Array = field(default_factory=lambda: _zeros(3))
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where everything stands in one exposure, world frame, mm.
+
+    ``centre``, ``axis``, ``normal``: the mirror's centre of rotation, axis and the normal of facet 0 at phase 0;
+    facet k's normal at phase ε is ``normal`` turned by ε + 2πk/facets about ``axis``, right-handed.
+    ``laser_point``: on the laser's axis, where the beam diameter holds. ``laser_direction``: unit, of travel.
+    ``screen_rotation`` (3, 3), ``screen_origin`` (3,): X_world = origin + rotation @ (0, y, z) of the board.
+    """
+
+    centre: Array
+    axis: Array
+    normal: Array
+    laser_point: Array
+    laser_direction: Array
+    screen_rotation: Array
+    screen_origin: Array
+
+
+def place(mirror: Mirror, exposure: Exposure, errors: SettingErrors | None = None, radius: float | None = None) -> Placement:
+    """Placement of an exposure, with setting errors if given.
+
+    The laser's axis is aimed at the nominal P once: setting errors do not re-aim it.
+
+    Parameters
+    ----------
+    mirror, exposure
+        The stated setting.
+    errors : SettingErrors, optional
+    radius : float, optional
+        r used for the aim [mm]; default the mirror's own.
+    """
+    e = errors or SettingErrors()
+    nominal = aim(mirror, exposure, radius)
+    binormal = np.cross(nominal.normal, nominal.axis)
+    turn = Rotation.from_rotvec(e.mirror_axis[0] * nominal.normal + e.mirror_axis[1] * binormal).as_matrix()
+    direction = -toward_source(
+        exposure.laser_azimuth + e.laser_direction[0], exposure.laser_elevation + e.laser_direction[1]
+    )
+    seat = Rotation.from_rotvec(np.asarray(e.screen_angle, float))
+    roll = Rotation.from_rotvec([exposure.screen_roll, 0.0, 0.0])
+    return Placement(
+        centre=np.asarray(exposure.mirror_position, float) + e.mirror_position,
+        axis=turn @ nominal.axis,
+        normal=turn @ nominal.normal,
+        laser_point=nominal.point,
+        laser_direction=direction,
+        screen_rotation=(seat * roll).as_matrix(),
+        screen_origin=np.array([exposure.screen_shift, 0.0, 0.0]) + e.screen_position,
+    )
+
+
+def camera_pose(camera: Camera) -> tuple[Array, Array]:
+    """Nominal pose in OpenCV's sense: x_camera = R @ x_world + t, x right, y down, z forward.
+
+    The camera looks at ``look_at`` without roll: image rows run downward, world z upward in the picture,
+    right = forward × z.
+
+    Returns
+    -------
+    R : (3, 3) ndarray
+    t : (3,) ndarray [mm]
+    """
+    position = np.asarray(camera.position, float)
+    forward = np.asarray(camera.look_at, float) - position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return rotation, -rotation @ position
