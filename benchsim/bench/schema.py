@@ -1,0 +1,128 @@
+"""The recording file's keys, units, defaults and plausible ranges, as pydantic models.
+
+Keys carry their unit; `files` turns a checked file into the dataclasses of `model`, in mm, rad and s.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(gt=0)]
+Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
+PositivePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
+NonNegativeTriple = Annotated[list[NonNegative], Field(min_length=3, max_length=3)]
+
+
+class Table(BaseModel):
+    """A TOML table: unknown keys, strings for numbers, NaN and infinities are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class LaserTable(Table):
+    wavelength_nm: Annotated[float, Field(ge=100, le=20000)] = 632.8
+    beam_diameter_mm: Positive = 10.0
+    divergence_mrad: Annotated[float, Field(ge=-500, le=500)] = 4.0
+    incoherent_divergence_mrad: Annotated[float, Field(ge=0, le=500)] = 0.0
+
+
+class MirrorTable(Table):
+    shape: Literal["polygon", "cylinder"] = "polygon"
+    facets: Annotated[int, Field(ge=3, le=360)] = 12
+    diameter_mm: Positive = 35.0
+    height_mm: Positive = 2.0
+    stands_for: Literal["elevation", "azimuth"] = "elevation"
+
+
+class ScreenTable(Table):
+    size_mm: PositivePair = [700.0, 700.0]
+    reflectance: Annotated[float, Field(gt=0, le=1)] = 0.8
+    marks: str = "marks.csv"
+
+
+class CameraTable(Table):
+    resolution_px: Annotated[list[Count], Field(min_length=2, max_length=2)]
+    focal_px: Positive
+    principal_point_px: Pair
+    distortion: Annotated[list[Number], Field(min_length=5, max_length=5)] = [0.0, 0.0, 0.0, 0.0, 0.0]
+    position_mm: Triple = [1200.0, 350.0, -150.0]
+    look_at_mm: Triple = [0.0, 0.0, 0.0]
+    bit_depth: Literal[8, 16] = 16
+    gamma: Positive | Literal["srgb", "unknown"] = 1.0
+    black_level: NonNegative = 0.0
+    saturation_level: Positive | None = None
+
+
+class PhysicsTable(Table):
+    facets: bool = True
+    beam: bool = True
+    diffraction: bool = True
+
+
+class UncertaintyTable(Table):
+    mirror_position_mm: NonNegative = 1.0
+    mirror_axis_mrad: NonNegative = 1.745
+    laser_direction_mrad: NonNegative = 1.745
+    screen_position_mm: NonNegative = 0.2
+    screen_angle_mrad: NonNegative = 1.0
+    beam_diameter_fraction: NonNegative = 0.02
+    divergence_fraction: NonNegative = 0.005
+    intrinsics_sigma: NonNegativeTriple = [0.0, 0.0, 0.0]
+
+
+SurfaceRow = tuple[float, float, str, float]
+
+
+class ExpanderTable(Table):
+    surfaces: Annotated[list[list[float | str]], Field(min_length=1)]
+    defocus_mm: Number = 0.0
+    decentre_mm: Number = 0.0
+    tilt_mrad: Number = 0.0
+
+
+class RenderTable(Table):
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
+    peak_fraction: Annotated[float, Field(gt=0, le=10)] = 0.7
+    room_fraction: Annotated[float, Field(ge=0, le=1)] = 0.3
+    full_well_e: Positive = 12000.0
+    read_noise_e: NonNegative = 6.0
+    blur_px: NonNegative = 0.7
+    speckle_px: NonNegative = 0.0
+    noise: bool = True
+    dark: bool = True
+    relative_error: Annotated[float, Field(gt=0, lt=1)] = 0.01
+
+
+class ExposureTable(Table):
+    image: str | None = None
+    dark: str | None = None
+    camera: str
+    setting: str
+    laser_azimuth_deg: Annotated[float, Field(ge=-360, le=720)]
+    laser_elevation_deg: Annotated[float, Field(ge=-90, le=90)]
+    mirror_position_mm: Triple
+    screen_shift_mm: Number = 0.0
+    screen_roll_deg: Number = 0.0
+    time_s: Number = 0.0
+    facet: Annotated[int, Field(ge=0)] | None = None
+
+
+class RecordingFile(Table):
+    format: Literal["benchsim-recording/1"]
+    title: str = ""
+    laser: LaserTable = Field(default_factory=LaserTable)
+    mirror: MirrorTable = Field(default_factory=MirrorTable)
+    screen: ScreenTable = Field(default_factory=ScreenTable)
+    cameras: Annotated[dict[str, CameraTable], Field(min_length=1)]
+    physics: PhysicsTable = Field(default_factory=PhysicsTable)
+    uncertainty: UncertaintyTable = Field(default_factory=UncertaintyTable)
+    effects: dict[str, dict[str, Number]] = Field(default_factory=dict)
+    expander: ExpanderTable | None = None
+    render: RenderTable = Field(default_factory=RenderTable)
+    exposure: Annotated[list[ExposureTable], Field(min_length=1)]
