@@ -12,7 +12,6 @@ import math
 import os
 import tempfile
 import tomllib
-import types
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -193,7 +192,7 @@ def _convert(f: schema.RecordingFile, file: Path) -> Recording:
         ),
         mirror=Mirror(f.mirror.shape, f.mirror.facets, f.mirror.diameter_mm, f.mirror.height_mm, f.mirror.stands_for),
         screen=Screen(_pair(f.screen.size_mm), f.screen.reflectance, read_marks(file.parent / f.screen.marks)),
-        cameras=types.MappingProxyType({name: _camera(name, c) for name, c in f.cameras.items()}),
+        cameras={name: _camera(name, c) for name, c in f.cameras.items()},
         physics=physics,
         uncertainty=Uncertainty(
             u.mirror_position_mm,

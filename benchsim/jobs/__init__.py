@@ -1,1 +1,19 @@
+"""One function per command; each takes paths and options, writes an output folder and returns the finished result.
 
+The functions are looked up when they are first used, so that ``import benchsim.jobs`` stays light.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_MODULES = {"run": "running", "render": "rendering", "fit": "fitting", "validate": "validating"}
+
+__all__ = ["fit", "render", "run", "validate"]  # noqa: F822
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module 'benchsim.jobs' has no attribute {name!r}")
+    return getattr(import_module(f"benchsim.jobs.{_MODULES[name]}"), name)

@@ -1,0 +1,133 @@
+"""The command line: parses, calls one job, prints its summary; exit 0 done, 1 unusable data or back end, 2 usage."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+app = typer.Typer(
+    help="A heliostat bench as software: render it, read it back, validate the vector model.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Output = Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default ./NAME-COMMAND/.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the machine-readable result.")]
+Variant = Annotated[str | None, typer.Option(help="Mitsuba's back end; default llvm_ad_mono, cuda_ad_mono with a GPU.")]
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """Progress bar on a terminal, silence in a pipe: yields report(what, fraction done)."""
+    if not sys.stderr.isatty():
+        yield lambda what, done: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda what, done: bar.update(task, description=what, completed=done)
+
+
+def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> None:
+    """Run a job and print its result; a complaint about the data is one sentence on stderr and exit 1."""
+    from benchsim.bench.errors import BenchsimError
+
+    try:
+        with _progress() as progress:
+            result = job(progress=progress, **options)
+    except BenchsimError as error:
+        typer.echo(f"benchsim: {error}", err=True)
+        raise typer.Exit(1) from None
+    except KeyboardInterrupt:
+        typer.echo("benchsim: stopped; nothing was written", err=True)
+        raise typer.Exit(130) from None
+    if as_json:
+        import json
+
+        typer.echo(json.dumps(result.as_dict(), indent=1))
+    else:
+        typer.echo(result.summary())
+
+
+@app.callback()
+def _main() -> None:
+    pass
+
+
+@app.command()
+def run(
+    file: Annotated[Path | None, typer.Argument(help="Bench file, or recording folder; default: both settings of Fig. 7.")] = None,
+    output: Output = None,
+    json: Json = False,
+    variant: Variant = None,
+) -> None:
+    """The main job: render (or take the recording's images), fit, validate, draw."""
+    from benchsim import jobs
+
+    _do(jobs.run, json, file=file, output=output, variant=variant)
+
+
+@app.command()
+def render(
+    bench: Annotated[Path, typer.Argument(help="Bench file (TOML), or a recording whose settings are to be rendered.")],
+    output: Output = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of noise and setting errors; default [render] seed.")] = None,
+    effect: Annotated[list[str] | None, typer.Option(help="NAME.PARAMETER=VALUE, overrides [effects]; may be repeated.")] = None,
+    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Sensor noise and speckle.")] = True,
+    setting_errors: Annotated[
+        bool, typer.Option("--setting-errors/--no-setting-errors", help="Draw each setting's errors from [uncertainty].")
+    ] = True,
+    json: Json = False,
+    variant: Variant = None,
+) -> None:
+    """Render what the camera would photograph, as a recording."""
+    from benchsim import jobs
+
+    _do(
+        jobs.render, json, bench=bench, output=output, seed=seed, effects=effect or [], noise=noise,
+        setting_errors=setting_errors, variant=variant,
+    )  # fmt: skip
+
+
+@app.command()
+def fit(
+    source: Annotated[Path, typer.Argument(help="Recording folder, or a single image (with --pixels).")],
+    output: Output = None,
+    pixels: Annotated[bool, typer.Option("--pixels", help="Fit a single image in pixels, without a recording file.")] = False,
+    json: Json = False,
+) -> None:
+    """Photographs → marks → trace with error bars → conics."""
+    from benchsim import jobs
+
+    _do(jobs.fit, json, source=source, output=output, pixels=pixels)
+
+
+@app.command()
+def validate(
+    recording: Annotated[Path, typer.Argument(help="Recording folder.")],
+    output: Output = None,
+    json: Json = False,
+) -> None:
+    """Compare the traces with the vector model, in mm on the screen and mrad of mirror normal."""
+    from benchsim import jobs
+
+    _do(jobs.validate, json, recording=recording, output=output)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,136 @@
+"""Output folders: staged beside their place, then moved whole, so that nothing is lost or half-written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import benchsim
+from benchsim.bench.errors import BenchsimError
+
+STAMP = "benchsim.json"
+_PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-image")
+
+
+def default_folder(source: Path, command: str) -> Path:
+    """``./NAME-COMMAND/``, NAME being the file's stem or the folder's name."""
+    path = source.resolve()
+    if path.is_file() and path.name == "recording.toml":
+        path = path.parent
+    return Path(f"{path.stem if path.is_file() else path.name}-{command}")
+
+
+@contextmanager
+def output_folder(
+    target: Path, command: str, inputs: Sequence[Path], options: dict[str, Any] | None = None, defaults: Sequence[str] = ()
+) -> Iterator[Path]:
+    """Yield a staging folder that becomes ``target`` when the block ends without an exception.
+
+    A folder that the same command wrote is replaced whole; any other non-empty folder is refused before the work
+    starts. On failure the staging folder is removed and ``target`` stays as it was.
+
+    Parameters
+    ----------
+    target : Path
+        The folder to write.
+    command : str
+        Written into ``benchsim.json`` with the hashes of ``inputs``, versions, options and defaults used.
+    inputs : sequence of Path
+        Files that were read; none may lie inside ``target``, which would replace them.
+
+    Raises
+    ------
+    BenchsimError
+        If the folder cannot be used.
+    """
+    target = target.absolute()
+    _refuse_unusable(target, command, inputs)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}-"))
+    except OSError as error:
+        raise BenchsimError(f"{target}: cannot be written ({error.strerror}); choose another folder with -o") from None
+    try:
+        stamp = _stamp(command, inputs, options or {}, defaults)
+        yield staging
+        (staging / STAMP).write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
+        mask = os.umask(0)
+        os.umask(mask)
+        staging.chmod(0o777 & ~mask)
+        _swap(staging, target)
+    except OSError as error:
+        if error.filename and str(error.filename).startswith(str(staging)):
+            raise BenchsimError(f"{target}: cannot be written ({error.strerror}); choose another folder with -o") from None
+        raise
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _refuse_unusable(target: Path, command: str, inputs: Sequence[Path]) -> None:
+    if target.exists() and not target.is_dir():
+        raise BenchsimError(f"{target}: is a file, not a folder; choose another name with -o")
+    if target.is_dir():
+        try:
+            entries = list(target.iterdir())
+        except OSError as error:
+            raise BenchsimError(f"{target}: cannot be read ({error.strerror}); choose another folder with -o") from None
+        if entries and _command_of(target) != command:
+            raise BenchsimError(
+                f"{target}: not empty and not written by 'benchsim {command}'; choose another folder with -o or empty it"
+            )
+    for path in inputs:
+        if path.resolve().is_relative_to(target.resolve()):
+            raise BenchsimError(f"{target}: holds the input {path.name}, which would be replaced; choose another folder with -o")
+    existing = next(p for p in [target, *target.parents] if p.exists())
+    if not os.access(existing, os.W_OK):
+        raise BenchsimError(f"{target}: cannot be written (permission denied); choose another folder with -o")
+
+
+def _command_of(folder: Path) -> str | None:
+    try:
+        return json.loads((folder / STAMP).read_text(encoding="utf-8"))["command"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _stamp(command: str, inputs: Sequence[Path], options: dict[str, Any], defaults: Sequence[str]) -> dict[str, Any]:
+    versions = {"benchsim": benchsim.__version__}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return {
+        "format": "benchsim-output/1",
+        "command": command,
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "options": options,
+        "inputs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs},
+        "versions": versions,
+        "defaults_used": list(defaults),
+    }
+
+
+def _swap(staging: Path, target: Path) -> None:
+    """Move the staging folder into place; an older folder is put aside first and removed last."""
+    if not target.exists():
+        os.rename(staging, target)
+        return
+    aside = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}-old-"))
+    os.rename(target, aside / "old")
+    try:
+        os.rename(staging, target)
+    except OSError:
+        os.rename(aside / "old", target)
+        raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
