@@ -32,7 +32,12 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda what, done: bar.update(task, description=what, completed=done)
@@ -66,7 +71,9 @@ def _main() -> None:
 
 @app.command()
 def run(
-    file: Annotated[Path | None, typer.Argument(help="Bench file, or recording folder; default: both settings of Fig. 7.")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="Bench file, or recording folder; default: both settings of Fig. 7.")
+    ] = None,
     output: Output = None,
     json: Json = False,
     variant: Variant = None,
@@ -81,11 +88,16 @@ def run(
 def render(
     bench: Annotated[Path, typer.Argument(help="Bench file (TOML), or a recording whose settings are to be rendered.")],
     output: Output = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of noise and setting errors; default [render] seed.")] = None,
-    effect: Annotated[list[str] | None, typer.Option(help="NAME.PARAMETER=VALUE, overrides [effects]; may be repeated.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of noise and setting errors; default [render] seed.")
+    ] = None,
+    effect: Annotated[
+        list[str] | None, typer.Option(help="NAME.PARAMETER=VALUE, overrides [effects]; may be repeated.")
+    ] = None,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Sensor noise and speckle.")] = True,
     setting_errors: Annotated[
-        bool, typer.Option("--setting-errors/--no-setting-errors", help="Draw each setting's errors from [uncertainty].")
+        bool,
+        typer.Option("--setting-errors/--no-setting-errors", help="Draw each setting's errors from [uncertainty]."),
     ] = True,
     json: Json = False,
     variant: Variant = None,
@@ -103,7 +115,9 @@ def render(
 def fit(
     source: Annotated[Path, typer.Argument(help="Recording folder, or a single image (with --pixels).")],
     output: Output = None,
-    pixels: Annotated[bool, typer.Option("--pixels", help="Fit a single image in pixels, without a recording file.")] = False,
+    pixels: Annotated[
+        bool, typer.Option("--pixels", help="Fit a single image in pixels, without a recording file.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Photographs → marks → trace with error bars → conics."""

@@ -60,7 +60,9 @@ def test_imports_point_one_way(path):
     assert own in ALLOWED, f"{own} is no room of the design"
     known = set(ALLOWED)
     for other in rooms_of(imported(path)) & known - {own}:
-        assert other in ALLOWED[own], f"{path.relative_to(ROOT)} imports {other}; {own} may import {sorted(ALLOWED[own])}"
+        assert other in ALLOWED[own], (
+            f"{path.relative_to(ROOT)} imports {other}; {own} may import {sorted(ALLOWED[own])}"
+        )
 
 
 def test_the_walk_sees_a_forbidden_import(tmp_path):

@@ -1,4 +1,4 @@
-"""Recordings and benches as TOML files: read, checked, written.
+"""Recordings and benches as TOML files: read and checked; ``writing`` writes them.
 
 A recording is a folder with ``recording.toml`` and its images; a bench file is the same file without images.
 Every complaint is one sentence with file, key and mend.
@@ -6,27 +6,23 @@ Every complaint is one sentence with file, key and mend.
 
 from __future__ import annotations
 
-import csv
 import difflib
 import math
-import os
-import tempfile
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-import tomlkit
 from pydantic import BaseModel, ValidationError
 
 from benchsim.bench import schema
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.marks import read_marks
 from benchsim.bench.model import (
     Camera,
     Expander,
     Exposure,
     Laser,
-    Marks,
     Mirror,
     Physics,
     Recording,
@@ -36,10 +32,9 @@ from benchsim.bench.model import (
     Uncertainty,
 )
 from benchsim.bench.place import aim
+from benchsim.bench.writing import write
 
-MARKS_HEADER = ["id", "y_mm", "z_mm", "side_mm"]
-TAGS_36H11 = 587
-"""Number of tags in the family 36h11; ids run from 0."""
+__all__ = ["read", "write"]
 
 _TABLE_MODELS: dict[str, type[BaseModel]] = {
     "laser": schema.LaserTable,
@@ -94,7 +89,9 @@ def _toml_path(path: Path) -> Path:
     if path.is_dir():
         file = path / "recording.toml"
         if not file.is_file():
-            raise BenchsimError(f"{path}: no recording.toml in this folder; name a recording's folder or a bench file (.toml)")
+            raise BenchsimError(
+                f"{path}: no recording.toml in this folder; name a recording's folder or a bench file (.toml)"
+            )
         return file
     if not path.exists():
         raise BenchsimError(f"{path}: no such file or folder; check the path")
@@ -118,7 +115,11 @@ def _first_complaint(error: ValidationError, data: dict[str, Any]) -> str:
     """Turn pydantic's first error into one sentence with key and mend; unknown keys first, they explain the rest."""
     errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = errors[0]
-    loc = [part for part in first["loc"] if part not in ("float", "constrained-float", "function-wrap") and not _is_union_tag(part)]
+    loc = [
+        part
+        for part in first["loc"]
+        if part not in ("float", "constrained-float", "function-wrap") and not _is_union_tag(part)
+    ]
     key = _key_name(loc)
     kind, value = first["type"], first.get("input")
     if kind == "extra_forbidden":
@@ -158,7 +159,9 @@ def _mend(kind: str, first: Any, value: Any) -> str:
         return f"{shown} is not finite; give a finite number"
     if kind in ("too_short", "too_long"):
         want = ctx.get("min_length", ctx.get("max_length"))
-        return f"{shown} has {ctx.get('actual_length')} entries; {'at least ' if kind == 'too_short' else ''}{want} needed"
+        return (
+            f"{shown} has {ctx.get('actual_length')} entries; {'at least ' if kind == 'too_short' else ''}{want} needed"
+        )
     if kind == "list_type":
         return f"{shown} is not a list; write it in brackets"
     if kind == "literal_error":
@@ -180,7 +183,7 @@ def _convert(f: schema.RecordingFile, file: Path) -> Recording:
     mrad, deg = 1e-3, math.pi / 180
     u = f.uncertainty
     if f.mirror.shape == "cylinder" and f.physics.facets and "facets" in f.physics.model_fields_set:
-        raise BenchsimError(f"{file.name}: physics.facets: true contradicts mirror.shape = \"cylinder\"; set it to false")
+        raise BenchsimError(f'{file.name}: physics.facets: true contradicts mirror.shape = "cylinder"; set it to false')
     physics = Physics(f.physics.facets and f.mirror.shape == "polygon", f.physics.beam, f.physics.diffraction)
     return Recording(
         title=f.title,
@@ -258,7 +261,7 @@ def _expander(e: schema.ExpanderTable, file: Path) -> Expander:
         ok = len(row) == 4 and isinstance(row[2], str) and all(isinstance(row[k], (int, float)) for k in (0, 1, 3))
         if not ok:
             raise BenchsimError(
-                f"{file.name}: expander.surfaces[{i}]: write [radius_mm, thickness_mm, \"glass\", semi_diameter_mm]"
+                f'{file.name}: expander.surfaces[{i}]: write [radius_mm, thickness_mm, "glass", semi_diameter_mm]'
             )
         radius, thickness, glass, semi = float(row[0]), float(row[1]), str(row[2]), float(row[3])
         if math.isnan(radius) or radius == 0 or not math.isfinite(thickness) or thickness < 0 or not semi > 0:
@@ -311,13 +314,17 @@ def _check(recording: Recording, file: Path, images: bool | None) -> None:
         key = f"{file.name}: exposure[{i}]"
         if e.camera not in recording.cameras:
             known = ", ".join(recording.cameras)
-            raise BenchsimError(f"{key}.camera: '{e.camera}' is not among the cameras ({known}); add it or mend the name")
+            raise BenchsimError(
+                f"{key}.camera: '{e.camera}' is not among the cameras ({known}); add it or mend the name"
+            )
         if e.facet is not None and e.facet >= recording.mirror.facets:
             raise BenchsimError(f"{key}.facet: {e.facet} but the mirror has facets 0 … {recording.mirror.facets - 1}")
         if e.facet is not None and recording.mirror.shape == "cylinder":
             raise BenchsimError(f"{key}.facet: a cylinder has no facets; remove the key")
         if images and e.image is None:
-            raise BenchsimError(f"{key}.image: required and missing; name the photograph, or run 'benchsim render' first")
+            raise BenchsimError(
+                f"{key}.image: required and missing; name the photograph, or run 'benchsim render' first"
+            )
         if e.dark is not None and e.image is None:
             raise BenchsimError(f"{key}.dark: given without an image; add image")
         for kind in ("image", "dark"):
@@ -353,7 +360,8 @@ def _check_setting(mirror: Mirror, e: Exposure, key: str) -> None:
         )
     if e.mirror_position[0] - e.screen_shift <= mirror.radius:
         raise BenchsimError(
-            f"{key}.mirror_position_mm: x = {e.mirror_position[0]:g} is behind or in the screen; the mirror stands at x > 0"
+            f"{key}.mirror_position_mm: x = {e.mirror_position[0]:g} is behind or in the screen; "
+            "the mirror stands at x > 0"
         )
     try:
         a = aim(mirror, e)
@@ -365,178 +373,3 @@ def _check_setting(mirror: Mirror, e: Exposure, key: str) -> None:
             f"{key}.laser_azimuth_deg: the laser stands behind the mirror as seen from the screen and cannot be "
             "reflected to it; mend the laser's angles or the mirror's position"
         )
-
-
-def read_marks(path: Path) -> Marks:
-    """Read ``marks.csv``: header ``id,y_mm,z_mm,side_mm``, one AprilTag 36h11 a row.
-
-    Raises
-    ------
-    BenchsimError
-        Naming file and line.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8") as handle:
-            rows = [row for row in csv.reader(handle) if row]
-    except FileNotFoundError:
-        raise BenchsimError(f"{path.name}: not there (looked in {path.parent}); add it, or mend screen.marks") from None
-    except (OSError, UnicodeDecodeError):
-        raise BenchsimError(f"{path.name}: cannot be read as a CSV file; check it and its permissions") from None
-    if not rows or [c.strip() for c in rows[0]] != MARKS_HEADER:
-        raise BenchsimError(f"{path.name}: line 1 must read {','.join(MARKS_HEADER)}")
-    ids, centres, sides = [], [], []
-    for n, row in enumerate(rows[1:], 2):
-        try:
-            tag, y, z, side = int(row[0]), float(row[1]), float(row[2]), float(row[3])
-            good = len(row) == 4 and all(map(math.isfinite, (y, z, side))) and side > 0 and 0 <= tag < TAGS_36H11
-        except (ValueError, IndexError):
-            good = False
-        if not good:
-            raise BenchsimError(
-                f"{path.name}: line {n}: '{','.join(row)}' is not id (0 … {TAGS_36H11 - 1}), y, z and a positive side in mm"
-            )
-        if tag in ids:
-            raise BenchsimError(f"{path.name}: line {n}: id {tag} stands twice; each mark has its own id")
-        ids.append(tag)
-        centres.append((y, z))
-        sides.append(side)
-    if not ids:
-        raise BenchsimError(f"{path.name}: no marks in it; list the board's AprilTags")
-    return Marks(tuple(ids), tuple(centres), tuple(sides))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file under a temporary name, then move it into place, so that it is never half there."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as out:
-            out.write(text)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
-def _plain(x: float) -> float:
-    """Round away the last bits that the change of unit left, so that files read as they were written."""
-    return float(f"{x:.12g}")
-
-
-def write(recording: Recording, path: str | Path, *, render: bool = False) -> None:
-    """Write a recording (or, with ``render``, a bench file with its ``[render]``) and its marks beside it.
-
-    Image names are written as they stand; images are not copied. ``[expander]`` is written where there is one.
-
-    Parameters
-    ----------
-    recording : Recording
-    path : path
-        The TOML file to write; ``marks.csv`` is written into the same folder.
-    render : bool
-        Whether ``[render]`` is written: it is never copied into a recording.
-    """
-    path = Path(path)
-    if recording.screen.marks is not None:
-        rows = [",".join(MARKS_HEADER)]
-        marks = recording.screen.marks
-        for tag, (y, z), side in zip(marks.ids, marks.centres, marks.sides, strict=True):
-            rows.append(f"{tag},{_plain(y)},{_plain(z)},{_plain(side)}")
-        write_text(path.parent / "marks.csv", "\n".join(rows) + "\n")
-    write_text(path, tomlkit.dumps(_document(recording, render)))
-
-
-def _document(r: Recording, render: bool) -> tomlkit.TOMLDocument:
-    mrad, deg = 1e-3, math.pi / 180
-    doc = tomlkit.document()
-    doc["format"] = get_args(schema.RecordingFile.model_fields["format"].annotation)[0]
-    doc["title"] = r.title
-
-    def put(name: str, values: dict[str, Any], parent: Any = doc) -> None:
-        table = tomlkit.table()
-        for key, value in values.items():
-            if isinstance(value, float):
-                value = _plain(value)
-            elif isinstance(value, (tuple, list)):
-                value = [_plain(v) if isinstance(v, float) else v for v in value]
-            if value is not None:
-                table[key] = value
-        parent[name] = table
-
-    put("laser", {
-        "wavelength_nm": r.laser.wavelength * 1e6,
-        "beam_diameter_mm": r.laser.beam_diameter,
-        "divergence_mrad": r.laser.divergence / mrad,
-        "incoherent_divergence_mrad": r.laser.incoherent_divergence / mrad,
-    })
-    put("mirror", {
-        "shape": r.mirror.shape,
-        "facets": r.mirror.facets,
-        "diameter_mm": r.mirror.diameter,
-        "height_mm": r.mirror.height,
-        "stands_for": r.mirror.stands_for,
-    })
-    put("screen", {"size_mm": r.screen.size, "reflectance": r.screen.reflectance, "marks": "marks.csv"})
-    cameras = tomlkit.table(is_super_table=True)
-    for name, c in r.cameras.items():
-        put(name, {
-            "resolution_px": list(c.resolution),
-            "focal_px": c.focal,
-            "principal_point_px": c.principal_point,
-            "distortion": c.distortion,
-            "position_mm": c.position,
-            "look_at_mm": c.look_at,
-            "bit_depth": c.bit_depth,
-            "gamma": c.gamma,
-            "black_level": c.black_level,
-            "saturation_level": c.saturation_level,
-        }, cameras)
-    doc["cameras"] = cameras
-    put("physics", {"facets": r.physics.facets, "beam": r.physics.beam, "diffraction": r.physics.diffraction})
-    u = r.uncertainty
-    put("uncertainty", {
-        "mirror_position_mm": u.mirror_position,
-        "mirror_axis_mrad": u.mirror_axis / mrad,
-        "laser_direction_mrad": u.laser_direction / mrad,
-        "screen_position_mm": u.screen_position,
-        "screen_angle_mrad": u.screen_angle / mrad,
-        "beam_diameter_fraction": u.beam_diameter_fraction,
-        "divergence_fraction": u.divergence_fraction,
-        "intrinsics_sigma": u.intrinsics_sigma,
-    })
-    if r.effects:
-        effects = tomlkit.table(is_super_table=True)
-        for name, parameters in r.effects.items():
-            put(name, dict(parameters), effects)
-        doc["effects"] = effects
-    if r.expander is not None:
-        e = r.expander
-        put("expander", {
-            "surfaces": [[s.radius, s.thickness, s.glass, s.semi_diameter] for s in e.surfaces],
-            "defocus_mm": e.defocus,
-            "decentre_mm": e.decentre,
-            "tilt_mrad": e.tilt / mrad,
-        })
-    if render:
-        put("render", dict(vars(r.render)))
-    exposures = tomlkit.aot()
-    for x in r.exposures:
-        holder: dict[str, Any] = {}
-        put("e", {
-            "image": x.image,
-            "dark": x.dark,
-            "camera": x.camera,
-            "setting": x.setting,
-            "laser_azimuth_deg": x.laser_azimuth / deg,
-            "laser_elevation_deg": x.laser_elevation / deg,
-            "mirror_position_mm": x.mirror_position,
-            "screen_shift_mm": x.screen_shift,
-            "screen_roll_deg": x.screen_roll / deg,
-            "time_s": x.time,
-            "facet": x.facet,
-        }, holder)
-        exposures.append(holder["e"])
-    doc["exposure"] = exposures
-    return doc

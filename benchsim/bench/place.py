@@ -75,7 +75,9 @@ def ideal_normal(centre: Array, source: Array, radius: float, iterations: int = 
         bisector = source + to_target / np.linalg.norm(to_target)
         length = np.linalg.norm(bisector)
         if length < 1e-9:
-            raise BenchsimError("the laser shines from behind the mirror straight at the screen; no mirror can aim that")
+            raise BenchsimError(
+                "the laser shines from behind the mirror straight at the screen; no mirror can aim that"
+            )
         previous, n = n, bisector / length
         if np.max(np.abs(n - previous)) < 1e-16:
             break
@@ -87,7 +89,9 @@ def rotation_axis(normal: Array, stands_for: str) -> Array:
     horizontal = np.cross([0.0, 0.0, 1.0], normal)
     length = np.linalg.norm(horizontal)
     if length < 1e-9:
-        raise BenchsimError("the mirror's normal is vertical, so its elevation axis is not defined; move the mirror or laser")
+        raise BenchsimError(
+            "the mirror's normal is vertical, so its elevation axis is not defined; move the mirror or laser"
+        )
     horizontal /= length
     return horizontal if stands_for == "elevation" else np.cross(normal, horizontal)
 
@@ -161,7 +165,9 @@ class Placement:
     screen_origin: Array
 
 
-def place(mirror: Mirror, exposure: Exposure, errors: SettingErrors | None = None, radius: float | None = None) -> Placement:
+def place(
+    mirror: Mirror, exposure: Exposure, errors: SettingErrors | None = None, radius: float | None = None
+) -> Placement:
     """Placement of an exposure, with setting errors if given.
 
     The laser's axis is aimed at the nominal P once: setting errors do not re-aim it.

@@ -10,7 +10,7 @@ from typing import Any
 
 _MODULES = {"run": "running", "render": "rendering", "fit": "fitting", "validate": "validating"}
 
-__all__ = ["fit", "render", "run", "validate"]  # noqa: F822
+__all__ = ["fit", "render", "run", "validate"]
 
 
 def __getattr__(name: str) -> Any:

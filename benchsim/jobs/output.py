@@ -31,7 +31,11 @@ def default_folder(source: Path, command: str) -> Path:
 
 @contextmanager
 def output_folder(
-    target: Path, command: str, inputs: Sequence[Path], options: dict[str, Any] | None = None, defaults: Sequence[str] = ()
+    target: Path,
+    command: str,
+    inputs: Sequence[Path],
+    options: dict[str, Any] | None = None,
+    defaults: Sequence[str] = (),
 ) -> Iterator[Path]:
     """Yield a staging folder that becomes ``target`` when the block ends without an exception.
 
@@ -69,7 +73,9 @@ def output_folder(
         _swap(staging, target)
     except OSError as error:
         if error.filename and str(error.filename).startswith(str(staging)):
-            raise BenchsimError(f"{target}: cannot be written ({error.strerror}); choose another folder with -o") from None
+            raise BenchsimError(
+                f"{target}: cannot be written ({error.strerror}); choose another folder with -o"
+            ) from None
         raise
     finally:
         shutil.rmtree(staging, ignore_errors=True)
@@ -85,11 +91,13 @@ def _refuse_unusable(target: Path, command: str, inputs: Sequence[Path]) -> None
             raise BenchsimError(f"{target}: cannot be read ({error.strerror}); choose another folder with -o") from None
         if entries and _command_of(target) != command:
             raise BenchsimError(
-                f"{target}: not empty and not written by 'benchsim {command}'; choose another folder with -o or empty it"
+                f"{target}: not empty and not written by 'benchsim {command}'; choose another with -o or empty it"
             )
     for path in inputs:
         if path.resolve().is_relative_to(target.resolve()):
-            raise BenchsimError(f"{target}: holds the input {path.name}, which would be replaced; choose another folder with -o")
+            raise BenchsimError(
+                f"{target}: holds the input {path.name}, which would be replaced; choose another folder with -o"
+            )
     existing = next(p for p in [target, *target.parents] if p.exists())
     if not os.access(existing, os.W_OK):
         raise BenchsimError(f"{target}: cannot be written (permission denied); choose another folder with -o")

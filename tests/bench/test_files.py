@@ -100,14 +100,26 @@ def test_recordings_of_other_code_are_read(name):
 
 BAD = {
     # what is replaced: (old, new, words that the sentence must hold)
-    "unknown key": ("focal_px = 210.0", "focal_px = 210.0\nfocal_mm = 8.0", ["cameras.A.focal_mm", "unknown", "focal_px"]),
+    "unknown key": (
+        "focal_px = 210.0",
+        "focal_px = 210.0\nfocal_mm = 8.0",
+        ["cameras.A.focal_mm", "unknown", "focal_px"],
+    ),
     "unknown table": ("[cameras.A]", "[lazer]\nwavelength_nm = 1.0\n[cameras.A]", ["lazer", "unknown", "laser"]),
-    "key without unit": ("[cameras.A]", "[laser]\nbeam_diameter = 10.0\n[cameras.A]", ["laser.beam_diameter", "beam_diameter_mm"]),
+    "key without unit": (
+        "[cameras.A]",
+        "[laser]\nbeam_diameter = 10.0\n[cameras.A]",
+        ["laser.beam_diameter", "beam_diameter_mm"],
+    ),
     "no format": ('format = "benchsim-recording/1"', "", ["format", "required"]),
     "other format": ("recording/1", "recording/9", ["format", "benchsim-recording/1"]),
     "no camera": ("focal_px = 210.0", "", ["cameras.A.focal_px", "required"]),
     "camera not listed": ('camera = "A"', 'camera = "B"', ["exposure[1].camera", "'B'", "A"]),
-    "text for a number": ("laser_elevation_deg = 50.0", 'laser_elevation_deg = "50"', ["laser_elevation_deg", "number"]),
+    "text for a number": (
+        "laser_elevation_deg = 50.0",
+        'laser_elevation_deg = "50"',
+        ["laser_elevation_deg", "number"],
+    ),
     "nan": ("focal_px = 210.0", "focal_px = nan", ["cameras.A.focal_px", "nan"]),
     "infinite": ("[99.5, 74.5]", "[inf, 74.5]", ["principal_point_px", "finite"]),
     "nan in a position": ("[1500.0, -160.0, -1430.0]", "[nan, -160.0, -1430.0]", ["mirror_position_mm", "finite"]),
@@ -119,7 +131,11 @@ BAD = {
     "elevation in rad or beyond": ("= 50.0", "= 500.0", ["laser_elevation_deg", "at most 90"]),
     "laser below the horizon": ("= 50.0", "= -5.0", ["laser_elevation_deg", "below the horizon"]),
     "laser on the horizon": ("= 50.0", "= 0.0", ["laser_elevation_deg", "below the horizon"]),
-    "mirror behind the screen": ("[1500.0, -160.0, -1430.0]", "[-1500.0, -160.0, -1430.0]", ["mirror_position_mm", "x"]),
+    "mirror behind the screen": (
+        "[1500.0, -160.0, -1430.0]",
+        "[-1500.0, -160.0, -1430.0]",
+        ["mirror_position_mm", "x"],
+    ),
     "facet that is not there": ('setting = "s1"', 'setting = "s1"\nfacet = 12', ["facet", "11"]),
     "negative facet": ('setting = "s1"', 'setting = "s1"\nfacet = -1', ["facet", "at least 0"]),
     "missing image": ('"001.png"', '"002.png"', ["002.png", "exposure[1].image"]),
@@ -134,14 +150,26 @@ BAD = {
         "focal_px = 210.0\nblack_level = 900.0\nsaturation_level = 800.0",
         ["saturation_level", "black_level"],
     ),
-    "saturation beyond the bits": ("focal_px = 210.0", "focal_px = 210.0\nbit_depth = 8\nsaturation_level = 4095.0", ["8 bits"]),
-    "camera behind the screen": ("focal_px = 210.0", "focal_px = 210.0\nposition_mm = [-5.0, 0.0, 0.0]", ["position_mm"]),
+    "saturation beyond the bits": (
+        "focal_px = 210.0",
+        "focal_px = 210.0\nbit_depth = 8\nsaturation_level = 4095.0",
+        ["8 bits"],
+    ),
+    "camera behind the screen": (
+        "focal_px = 210.0",
+        "focal_px = 210.0\nposition_mm = [-5.0, 0.0, 0.0]",
+        ["position_mm"],
+    ),
     "camera looks straight down": (
         "focal_px = 210.0",
         "focal_px = 210.0\nposition_mm = [900.0, 0.0, 900.0]\nlook_at_mm = [900.0, 0.0, 0.0]",
         ["look_at_mm"],
     ),
-    "expander row": ("[cameras.A]", '[expander]\nsurfaces = [[1.0, 2.0, 3.0, "BK7"]]\n[cameras.A]', ["expander.surfaces[1]"]),
+    "expander row": (
+        "[cameras.A]",
+        '[expander]\nsurfaces = [[1.0, 2.0, 3.0, "BK7"]]\n[cameras.A]',
+        ["expander.surfaces[1]"],
+    ),
     "fewer than three facets": ("[cameras.A]", "[mirror]\nfacets = 2\n[cameras.A]", ["mirror.facets", "at least 3"]),
     "cylinder with facets": (
         "[cameras.A]",
