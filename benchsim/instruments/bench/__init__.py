@@ -1,0 +1,1 @@
+"""The rotating-mirror bench: what joins traces, ray model and vector model."""
