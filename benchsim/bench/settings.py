@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,7 @@ def screen_seats(exposures: Sequence[Exposure]) -> tuple[int, ...]:
     """
     order = sorted(range(len(exposures)), key=lambda i: (exposures[i].time, i))
     seats, seat = [0] * len(exposures), 0
-    for before, now in zip(order, order[1:], strict=False):
+    for before, now in pairwise(order):
         a, b = exposures[before], exposures[now]
         if (a.screen_shift, a.screen_roll) != (b.screen_shift, b.screen_roll):
             seat += 1

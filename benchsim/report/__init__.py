@@ -1,1 +1,1 @@
-
+"""Pictures of finished results; nothing is computed here."""
