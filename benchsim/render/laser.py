@@ -1,0 +1,84 @@
+"""The beam at one point of the mirror: direction of its ray and the density of its power.
+
+Homocentric Gaussian beam: through the point ρ of the plane perpendicular to the axis at the reference point L runs a
+ray along d + κ ρ, with density 2/(π w²) exp(−2 ρ²/w²); all rays pass through the virtual source L − d/κ, and κ ≤ 0 is
+no special case.
+
+The functions take NumPy arrays (float64) or Dr.Jit arrays (float32) alike. Vectors are tuples of three components, and
+whatever is small is kept apart from what is not: a direction is handed over as its difference from the axis d.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from benchsim.bench.model import Laser
+
+Vec = tuple[Any, ...]
+
+
+def dot(a: Vec, b: Vec) -> Any:
+    """Scalar product of two triples."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@dataclass(frozen=True)
+class Beam:
+    """The beam in the frame of whoever holds it: ``direction`` d (unit), ``curvature`` κ [1/mm], ``waist`` w [mm]."""
+
+    direction: Vec
+    curvature: Any
+    waist: Any
+
+    @classmethod
+    def of(cls, laser: Laser, direction: Vec) -> Beam:
+        """The beam of a laser along a direction."""
+        return cls(direction, laser.curvature, laser.waist)
+
+
+def ray_through(beam: Beam, offset: Vec, jitter: tuple[Vec, Vec, Any, Any] | None = None) -> tuple[Vec, Vec, Any]:
+    """The ray that meets a point.
+
+    Parameters
+    ----------
+    beam : Beam
+    offset : triple of arrays [mm]
+        The point less L; on this side of a converging beam's focus.
+    jitter : (u, v, a, b), optional
+        Incoherent blur: the ray is turned by angles a, b [rad] along the unit vectors u, v ⟂ d.
+
+    Returns
+    -------
+    kick : triple of arrays
+        g − d, where g is the ray's direction, of component 1 along d.
+    rho : triple of arrays [mm]
+        Where the ray crosses the reference plane.
+    spread : array
+        1 + κ ζ, the scale of the beam at the point relative to the reference plane.
+    """
+    d, k = beam.direction, beam.curvature
+    zeta = dot(offset, d)
+    spread = 1.0 + k * zeta
+    blur: list[Any] = [0.0, 0.0, 0.0]
+    if jitter is not None:
+        u, v, a, b = jitter
+        blur = [u[i] * a + v[i] * b for i in range(3)]
+    rho = tuple((offset[i] - zeta * d[i] - zeta * blur[i]) / spread for i in range(3))
+    return tuple(k * rho[i] + blur[i] for i in range(3)), rho, spread
+
+
+def density(beam: Beam, rho: Vec, spread: Any, exp: Any) -> Any:
+    """Power per area of a plane perpendicular to the axis, where the ray from ``rho`` meets it; laser power 1 [1/mm²].
+
+    On a surface of unit normal n multiply by |n·g| (g of component 1 along d), which is exact for a homocentric beam.
+    ``exp`` is numpy's or Dr.Jit's.
+    """
+    w2 = beam.waist * beam.waist
+    return 2.0 / (math.pi * w2) * exp(-2.0 * dot(rho, rho) / w2) / (spread * spread)
+
+
+def blur_sigma(laser: Laser) -> float:
+    """rms of the incoherent blur in one direction [rad]: a quarter of the full 1/e² angle."""
+    return laser.incoherent_divergence / 4
