@@ -78,10 +78,14 @@ class Sweep:
     """What is sampled in one exposure: constants about the middle phase, the range of phase, and what the ray's weight
     is.
 
-    ``measure`` is what one ray of weight 1 carries, times the number of rays.
+    ``measure`` is what one ray of weight 1 carries, times the number of rays. ``shear`` [rad/mm] is how the phase has
+    to change with t for the hit to stay where it is along the trace: δ less shear · t is sampled, within ±
+    ``half_range`` about 0, which is the phase ``middle`` of the reflecting facet's normal.
     """
 
     optics: Optics
+    middle: float
+    shear: float
     half_range: float
     measure: float
     facets: bool
@@ -123,15 +127,19 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement) -> Swe
             lands &= (np.abs(hit.t) <= whole.half_width) & (np.abs(hit.h) <= whole.half_height)
         if physics.beam:
             lands &= dot(hit.rho, hit.rho) < (4 * laser.waist) ** 2
-    lit = np.flatnonzero(lands.reshape(-1, grid.size).any(axis=0))
-    if lit.size == 0:
+    if not lands.any():
         raise BenchsimError(
             f"{recording.path}: in exposure {exposure.name} no light of the laser reaches the board; check the laser's "
             "angles, mirror_position_mm and the screen's size and shift"
         )
-    first, last = grid[lit[0]] - step, grid[lit[-1]] + step
-    about = optics(laser, mirror, placement, (first + last) / 2)
-    half_range = (last - first) / 2
+    lands = lands.reshape(-1, grid.size)
+    lit = np.flatnonzero(lands.any(axis=0))
+    about = optics(laser, mirror, placement, (grid[lit[0]] + grid[lit[-1]]) / 2)
+    shear = _shear(about) if physics.beam and facets else 0.0
+    sheared = np.broadcast_to(grid - shear * t, (3, 3, grid.size)).reshape(-1, grid.size) if shear else grid[None, :]
+    first, last = sheared[lands].min() - step, sheared[lands].max() + step
+    middle, half_range = (first + last) / 2, (last - first) / 2
+    about = optics(laser, mirror, placement, middle)
 
     measure = 2 * half_range / (2 * np.pi)
     if facets:
@@ -143,8 +151,8 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement) -> Swe
 
     table = None
     if physics.beam and physics.diffraction:
-        delta = np.linspace(-half_range, half_range, 201)
         wide = (np.linspace(-1, 1, 21) * about.half_width)[:, None] if facets else np.zeros((1, 1))
+        delta = np.linspace(-half_range, half_range, 201) + shear * wide
         centre = from_facet(about, delta, wide, 0.0, np)
         nu, beta = nu_and_beta(about, centre, laser.wavelength)
         seen = centre.arrives & (dot(centre.rho, centre.rho) < (2.5 * laser.waist) ** 2)
@@ -162,15 +170,27 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement) -> Swe
             )
         table = pattern(mirror.height, alpha, span(nu), span(beta))
     return Sweep(
-        about,
-        half_range,
-        measure,
-        facets,
-        physics.beam,
-        blur_sigma(laser) if physics.beam else 0.0,
-        table,
-        laser.wavelength,
+        optics=about,
+        middle=middle,
+        shear=shear,
+        half_range=half_range,
+        measure=measure,
+        facets=facets,
+        beam=physics.beam,
+        blur=blur_sigma(laser) if physics.beam else 0.0,
+        pattern=table,
+        wavelength=laser.wavelength,
     )
+
+
+def _shear(o: Optics) -> float:
+    """dδ/dt at which the hit stands still along the trace, at the middle phase."""
+    e, x = 1e-4, 1e-2
+    ahead, behind = from_facet(o, e, 0.0, 0.0, np), from_facet(o, -e, 0.0, 0.0, np)
+    right, left = from_facet(o, 0.0, x, 0.0, np), from_facet(o, 0.0, -x, 0.0, np)
+    motion = np.array([ahead.y - behind.y, ahead.z - behind.z]) / (2 * e)
+    shift = np.array([right.y - left.y, right.z - left.z]) / (2 * x)
+    return float(-(motion @ shift) / (motion @ motion))
 
 
 def nu_and_beta(o: Optics, centre: Any, wavelength: float) -> tuple[Any, Any]:
@@ -181,10 +201,12 @@ def nu_and_beta(o: Optics, centre: Any, wavelength: float) -> tuple[Any, Any]:
     return nu, beta
 
 
-def _lattice(dimensions: int) -> NDArray[np.uint32]:
-    """Steps of the Kronecker lattice by powers of the generalised golden ratio (x^(d+1) = x + 1), in units of 2^-32."""
+def _kronecker(dimensions: int) -> list[int]:
+    """Steps of a Kronecker sequence by powers of the generalised golden ratio (x^(d+1) = x + 1), in units of 2^-32."""
+    if dimensions == 0:
+        return []
     ratio = float(np.max(np.roots([1.0, *[0.0] * (dimensions - 1), -1.0, -1.0]).real))
-    return np.array([round(2**32 * ratio ** -(k + 1)) | 1 for k in range(dimensions)], np.uint32)
+    return [round(2**32 * ratio ** -(k + 1)) | 1 for k in range(dimensions)]
 
 
 class _Film:
@@ -222,36 +244,37 @@ def _opaque(value: float) -> Any:
     return dr.opaque(mi.Float, float(value))
 
 
+def _opaque_uint(value: int) -> Any:
+    return dr.opaque(mi.UInt32, value)
+
+
 class _Tables:
     """The pattern of diffraction where the kernel can read it."""
 
     def __init__(self, p: Pattern) -> None:
-        self.cells = len(p.edges) - 1
-        self.n_nu, self.n_beta = p.weights.shape[:2]
-        self.edges = mi.Float(p.edges.astype(np.float32))
+        self.nodes, self.cells, self.terms = p.weights.shape
+        self.edges = mi.Float(np.stack([p.edges[:-1], np.diff(p.edges)], axis=-1).astype(np.float32).ravel())
         self.weights = mi.Float(p.weights.astype(np.float32).ravel())
-        self.nu0, self.beta0 = _opaque(p.nu[0]), _opaque(p.beta[0])
-        self.nu_scale = _opaque((self.n_nu - 1) / (p.nu[-1] - p.nu[0]))
-        self.beta_scale = _opaque((self.n_beta - 1) / (p.beta[-1] - p.beta[0]))
+        self.nu0 = _opaque(p.nu[0])
+        self.nu_scale = _opaque((self.nodes - 1) / (p.nu[-1] - p.nu[0]))
+        low, high = p.beta
+        self.beta0, self.beta_scale = _opaque((low + high) / 2), _opaque(2 / (high - low))
 
     def sample(self, v: Any, nu: Any, beta: Any) -> tuple[Any, Any]:
         """h' [mm] and its weight."""
         x = v * self.cells
-        cell = dr.minimum(mi.UInt32(x), self.cells - 1)
-        low = dr.gather(mi.Float, self.edges, cell)
-        h = dr.fma(x - mi.Float(cell), dr.gather(mi.Float, self.edges, cell + 1) - low, low)
-        a = dr.clip((nu - self.nu0) * self.nu_scale, 0.0, self.n_nu - 1.0)
-        b = dr.clip((beta - self.beta0) * self.beta_scale, 0.0, self.n_beta - 1.0)
-        ia, ib = dr.minimum(mi.UInt32(a), self.n_nu - 2), dr.minimum(mi.UInt32(b), self.n_beta - 2)
-        a, b = a - mi.Float(ia), b - mi.Float(ib)
-        at = (ia * self.n_beta + ib) * self.cells + cell
-
-        def w(offset: int) -> Any:
-            return dr.gather(mi.Float, self.weights, at + offset)
-
-        near = dr.lerp(w(0), w(self.cells), b)
-        far = dr.lerp(w(self.n_beta * self.cells), w((self.n_beta + 1) * self.cells), b)
-        return h, dr.lerp(near, far, a)
+        cell = mi.UInt32(x)
+        edge = dr.gather(mi.Vector2f, self.edges, cell)
+        h = dr.fma(x - mi.Float(cell), edge.y, edge.x)
+        node = mi.UInt32(dr.clip(dr.fma(nu - self.nu0, self.nu_scale, 0.5), 0.0, self.nodes - 0.5))
+        packets = self.terms // 4
+        at = (node * self.cells + cell) * packets
+        terms = [x for k in range(packets) for x in dr.gather(mi.Vector4f, self.weights, at + k)]
+        b = dr.clip((beta - self.beta0) * self.beta_scale, -1.0, 1.0)
+        weight = terms[self.terms - 1]
+        for k in reversed(range(self.terms - 1)):
+            weight = dr.fma(weight, b, terms[k])
+        return h, weight
 
 
 class Tracer:
@@ -260,7 +283,7 @@ class Tracer:
     def __init__(self, s: Sweep) -> None:
         self.sweep = s
         self.optics = s.optics.map(_opaque)
-        self.half_range = _opaque(s.half_range)
+        self.half_range, self.shear = _opaque(s.half_range), _opaque(s.shear)
         self.tables = None if s.pattern is None else _Tables(s.pattern)
         self.wavelength = _opaque(s.wavelength)
         d = np.array(s.optics.beam.direction)
@@ -292,6 +315,7 @@ class Tracer:
                 on &= (dr.abs(hit.t) <= o.half_width) & (dr.abs(hit.h) <= o.half_height)
             return hit.y, hit.z, mi.Float(1.0) + 0.0 * hit.y, on, (delta, hit.t, hit.h)
         t = dr.fma(2.0 * u[1], o.half_width, -o.half_width) if s.facets else mi.Float(0.0)
+        delta = dr.fma(self.shear, t, delta)
         jitter = None
         if s.blur > 0:
             # Box-Muller; 1 − u lies in (0, 1].
@@ -309,15 +333,21 @@ class Tracer:
             weight = density(o.beam, centre.rho, centre.spread, dr.exp) * -centre.falling * share
         return hit.y, hit.z, weight, hit.arrives, (delta, t, h)
 
-    def points(self, n: int, shift: NDArray[np.uint32]) -> list[Any]:
-        """The first n points of the lattice with a shift, as ``dimensions`` arrays in [0, 1)."""
+    def points(self, n: int, rng: np.random.Generator) -> list[Any]:
+        """n points of a randomly shifted lattice, as ``dimensions`` arrays in [0, 1].
+
+        The first coordinate runs through n equal strata; the rest follows a Kronecker sequence. With the shear of
+        `Sweep`, a bin of the board sees a short run of the sequence, spread as evenly as it can be.
+        """
         i = dr.arange(mi.UInt32, n)
-        steps = _lattice(self.dimensions)
-        return [
+        stratum = (1 << 32) // n
+        first = i * _opaque_uint(stratum) + _opaque_uint(int(rng.integers(stratum)))
+        u = [mi.Float(first) * _opaque(1.0 / (n * stratum))]
+        for step in _kronecker(self.dimensions - 1):
+            x = i * mi.UInt32(int(step)) + _opaque_uint(int(rng.integers(1 << 32)))
             # 24 bits are exact in float32; all 32 could round to 1.
-            mi.Float((i * mi.UInt32(int(a)) + dr.opaque(mi.UInt32, int(c))) >> 8) * 2.0**-24
-            for a, c in zip(steps, shift, strict=True)
-        ]
+            u.append(mi.Float(x >> 8) * 2.0**-24)
+        return u
 
 
 def irradiance(
@@ -382,15 +412,14 @@ def irradiance(
         per_replicate = _FIRST
         mean, error = _replicates(tracer, film, per_replicate, rng)
         while error > target and per_replicate < _MOST:
-            # Lattice points converge faster than 1/√n at first and like it in the end; the loop mends a guess too
-            # small.
-            per_replicate = min(int(per_replicate * max(1.25, 1.1 * (error / target) ** 1.6)), _MOST)
+            # The noise falls at least like 1/n; the loop mends a step too short.
+            per_replicate = min(int(per_replicate * max(1.5, (error / target) ** 0.75)), _MOST)
             mean, error = _replicates(tracer, film, per_replicate, rng)
     values = mean[1:-1, 1:-1] * (s.measure / pitch**2)
     return ScreenMap(values, film.y0, film.z0, pitch, error, per_replicate * REPLICATES)
 
 
-_FIRST = 1 << 18
+_FIRST = 1 << 19
 _MOST = 1 << 29
 
 
@@ -400,8 +429,7 @@ def _replicates(tracer: Tracer, film: _Film, n: int, rng: np.random.Generator) -
     squares = dr.zeros(mi.Float, film.shape[0] * film.shape[1])
     for _ in range(REPLICATES):
         bins = dr.zeros(mi.Float, film.shape[0] * film.shape[1])
-        shift = rng.integers(0, 2**32, tracer.dimensions, dtype=np.uint32)
-        y, z, weight, arrives, _sample = tracer(tracer.points(n, shift))
+        y, z, weight, arrives, _sample = tracer(tracer.points(n, rng))
         film.add(bins, y, z, weight, arrives)
         bins = bins * _opaque(1 / n)
         total += bins
