@@ -53,7 +53,7 @@ class Picture:
     room: Image
 
 
-def _sharpen(light: ScreenMap, *, narrow: bool) -> Array:
+def _sharpen(light: ScreenMap, *, narrow: bool) -> Image:
     """Values of a bilinear surface that is the least-squares fit to the irradiance behind a map.
 
     A map holds means with a tent of half width ``pitch``; a bilinear texture smears them with the same tent again. Both
@@ -61,12 +61,12 @@ def _sharpen(light: ScreenMap, *, narrow: bool) -> Array:
     Mag. 16(6), 22). A trace that is one bin wide has no such fit and stays as it is.
     """
     if narrow:
-        return light.values
+        return light.values.astype(np.float32)
     once = spline_filter1d(light.values.astype(np.float32), order=3, axis=0, output=np.float32, mode="mirror")
-    return spline_filter1d(once, order=3, axis=1, output=np.float32, mode="mirror")
+    return np.asarray(spline_filter1d(once, order=3, axis=1, output=np.float32, mode="mirror"), np.float32)
 
 
-def _on_texture(texture: BoardTexture, light: ScreenMap, values: Array) -> Array:
+def _on_texture(texture: BoardTexture, light: ScreenMap, values: Image) -> Image:
     """The map's values on the texture's grid, zero beyond the map."""
     out = np.zeros(texture.values.shape, np.float32)
     i = round((light.z0 - texture.z0) / texture.pitch)
@@ -78,15 +78,15 @@ def _on_texture(texture: BoardTexture, light: ScreenMap, values: Array) -> Array
     return out
 
 
-def _room(texture: BoardTexture) -> tuple[Array, Array]:
+def _room(texture: BoardTexture) -> tuple[Image, Image]:
     """Room light along z (nz, 1) and along y (1, ny); their product, 1 at the centre."""
     nz, ny = texture.values.shape
     y = np.linspace(-1, 1, ny, dtype=np.float32)[None, :]
     z = np.linspace(-1, 1, nz, dtype=np.float32)[:, None]
-    return 1 + ROOM_SLOPE[1] * z, 1 + ROOM_SLOPE[0] * y
+    return 1 + np.float32(ROOM_SLOPE[1]) * z, 1 + np.float32(ROOM_SLOPE[0]) * y
 
 
-def _bitmap(values: Array) -> Any:
+def _bitmap(values: Image) -> Any:
     """A bilinear Mitsuba texture of values whose row 0 is the lowest: v of a rectangle grows upward."""
     data = mi.TensorXf(np.ascontiguousarray(values, np.float32)[..., None])
     return mi.load_dict(
@@ -209,8 +209,8 @@ def photograph(
 
     columns, rows = camera.resolution
     edge = np.linspace(-1, 1, 65)
-    sides = [(edge, 1.0), (edge, -1.0), (1.0, edge), (-1.0, edge)]
-    around = np.concatenate([np.column_stack(np.broadcast_arrays(y, z)) for y, z in sides]) * half
+    one = np.ones(65)
+    around = np.concatenate([np.column_stack(s) for s in ((edge, one), (edge, -one), (one, edge), (-one, edge))]) * half
     outline = np.column_stack([np.zeros(len(around)), around]) @ to_camera.T + offset
     window = _window(camera, outline)
     height, width = window[0].stop - window[0].start, window[1].stop - window[1].start
