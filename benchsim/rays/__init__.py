@@ -6,11 +6,20 @@ trace.
 """
 
 from benchsim.rays.camera import board_points, pixel_rays, project, project_board
-from benchsim.rays.curve import COMPONENTS, irradiance_profiles, jacobian, predict, setting_errors, trace_curve
+from benchsim.rays.curve import (
+    COMPONENTS,
+    irradiance,
+    irradiance_profiles,
+    jacobian,
+    predict,
+    setting_errors,
+    trace_curve,
+)
 
 __all__ = [
     "COMPONENTS",
     "board_points",
+    "irradiance",
     "irradiance_profiles",
     "jacobian",
     "pixel_rays",
