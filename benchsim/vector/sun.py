@@ -71,10 +71,11 @@ def to_tower(source: ArrayLike, facing: float) -> Array:
 
 
 def sun_angles(latitude: float, day_of_year: int, solar_hour: ArrayLike) -> tuple[Array, Array]:
-    """Azimuth and elevation of the sun's centre at true solar time, from pvlib.
+    """Azimuth and elevation of the sun's centre at true solar time.
 
     The declination is Spencer's series for the day (``pvlib.solarposition.declination_spencer71``, 0.0006 rad), the
     hour angle 15° per hour from the sun's own noon: no longitude, equation of time or refraction enters.
+    The vector (cos δ cos ω, cos δ sin ω, sin δ) toward meridian, west and pole is turned by the colatitude about west.
 
     Parameters
     ----------
@@ -106,6 +107,14 @@ def sun_angles(latitude: float, day_of_year: int, solar_hour: ArrayLike) -> tupl
         raise BenchsimError(f"day of year: {day_of_year} is no day; give 1 to 366")
     hour_angle = np.radians(15.0 * (np.asarray(solar_hour, float) - 12.0))
     declination = solarposition.declination_spencer71(day_of_year)
-    zenith = solarposition.solar_zenith_analytical(latitude, hour_angle, declination)
-    azimuth = solarposition.solar_azimuth_analytical(latitude, hour_angle, declination, zenith)
-    return np.mod(np.asarray(azimuth, float), 2 * np.pi), np.pi / 2 - np.asarray(zenith, float)
+    # not pvlib's analytical azimuth: at noon it says south where the sun stands north, and its arccos keeps 1e-8 rad
+    equatorial = np.stack(
+        [
+            np.cos(declination) * np.cos(hour_angle),
+            np.cos(declination) * np.sin(hour_angle),
+            np.full_like(hour_angle, np.sin(declination)),
+        ],
+        axis=-1,
+    )
+    south, west, up = np.moveaxis(equatorial @ turn_y(latitude - np.pi / 2).T, -1, 0)
+    return np.mod(np.arctan2(-west, -south), 2 * np.pi), np.arctan2(up, np.hypot(south, west))
