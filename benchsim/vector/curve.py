@@ -143,14 +143,5 @@ def _stretch(margin: Callable[[ArrayLike], Array], points: Callable[[ArrayLike],
     # a run's end is an edge of the window or of what is real, where the margin jumps: bisection takes both
     first = scan[a] if a == 0 else bisect(sign, scan[a - 1], scan[a], xtol=1e-15)
     last = scan[b] if b == len(scan) - 1 else bisect(sign, scan[b], scan[b + 1], xtol=1e-15)
-    return np.linspace(_inward(first, scan[a], sign), _inward(last, scan[b], sign), count)
-
-
-def _inward(end: float, inner: float, sign: Callable[[float], float]) -> float:
-    """``end`` moved inside by what bisection leaves open."""
-    step = 1e-14 * np.sign(inner - end)
-    for _ in range(60):
-        if sign(end) > 0:
-            return end
-        end, step = end + step, 2 * step
-    return inner
+    # inside by more than bisection and rounding leave open: 1e-10 mm on the board
+    return np.linspace(first + 1e-13, last - 1e-13, count)

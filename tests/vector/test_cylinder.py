@@ -111,7 +111,9 @@ def test_motion_is_a_rigid_turn(source, stands_for):
 
 @both
 def test_where_the_three_cylinders_lie(stands_for):
-    """Centres and radii: C and r; the mirror's own centre and 0; the pedestal's foot and r + h sin E. All three carry the mirror's centre to the same place when there is no error."""
+    """Centres and radii: C and r; the mirror's own centre and 0; the pedestal's foot and r + h sin E.
+    All three carry the mirror's centre to the same place when there is no error.
+    """
     encoder, misalignment, tilt = (SOURCES[k](stands_for) for k in ("encoder", "misalignment", "tilt"))
     np.testing.assert_array_equal(encoder.pivot, CENTRE)
     assert encoder.radius == pytest.approx(RADIUS, abs=1e-12)
