@@ -1,0 +1,144 @@
+"""The picture's noise, from the residuals: how the variance grows with the light, and how honest the centres are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.optimize import nnls
+
+Array = NDArray[np.float64]
+
+FALSE_ALARM = 1e-3
+"""Chance that noise alone discards one profile of a ridge, per test."""
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    """Variance of a pixel: ``read + shot · level + speckle · signal²``, in the units of the light squared.
+
+    ``level`` is all light that made the pixel, the dark picture's included; ``signal`` the laser's part.
+    ``levels`` and ``cap`` are the range of levels over which it was measured.
+    """
+
+    read: float
+    shot: float
+    speckle: float
+    floor: float
+
+    def variance(self, level: Array, signal: Array) -> Array:
+        """Variance at these levels; never below ``floor``."""
+        return np.maximum(self.read + self.shot * np.maximum(level, 0) + self.speckle * signal**2, self.floor)
+
+
+def fit_pixel_noise(residual: Array, level: Array, signal: Array, freedom: float) -> PixelNoise:
+    """Variance against light by non-negative least squares on squared residuals.
+
+    Parameters
+    ----------
+    residual, level, signal : (n,) array
+        Of pixels; level and signal are the model's, so that the weights do not follow the noise.
+    freedom : float
+        Degrees of freedom per pixel, 0 … 1.
+
+    Returns
+    -------
+    PixelNoise
+    """
+    square = residual**2 / freedom
+    # A hot pixel or a scratch must not set the noise: six sigma of the pixels at the same level.
+    order = np.argsort(level + signal)
+    groups = np.array_split(order, max(1, min(60, len(order) // 50)))
+    rows, target, count = [], [], []
+    for g in groups:
+        limit = 36 * np.median(square[g]) / 0.455
+        good = g[square[g] <= limit] if limit > 0 else g
+        rows.append([1.0, max(level[good].mean(), 0.0), (signal[good] ** 2).mean()])
+        target.append(square[good].mean())
+        count.append(len(good))
+    a, b = np.array(rows), np.array(target)
+    scale = np.maximum(a.max(axis=0), 1e-30)
+    expected = np.maximum(b, 1e-3 * b.max())
+    for _ in range(3):
+        w = np.sqrt(np.array(count)) / np.maximum(expected, 1e-30)
+        x = nnls(a / scale * w[:, None], b * w)[0] / scale
+        expected = np.maximum(a @ x, 1e-3 * b.max())
+    return PixelNoise(float(x[0]), float(x[1]), float(x[2]), float(max(1e-6 * b.max(), 1e-30)))
+
+
+@dataclass(frozen=True)
+class CentreNoise:
+    """How the centres scatter about a smooth curve.
+
+    Attributes
+    ----------
+    scale : float
+        Observed scatter over the one that the pixels' noise predicts; sigmas are already multiplied by it.
+    scale_sigma : float
+        Its own uncertainty.
+    correlation : (m,) array
+        Correlation of the centres' errors at lags 0, 1, … profiles; 1, then 0 where it is not significant.
+    """
+
+    scale: float
+    scale_sigma: float
+    correlation: Array
+
+    @property
+    def correlation_length(self) -> float:
+        """Profiles over which errors are correlated: the sum of the correlation over positive and negative lags − 1."""
+        return float(2 * self.correlation[1:].sum())
+
+
+def centre_noise(t: Array, offset: Array, sigma: Array, basis: Array, longest: int = 12) -> CentreNoise:
+    """Scatter and correlation of centres about their own smooth curve.
+
+    Parameters
+    ----------
+    t : (k,) array
+        Along the curve [profiles].
+    offset, sigma : (k,) array
+        Centres across the curve and what their sigma is thought to be, same unit.
+    basis : (k, p) array
+        Of the smooth curve; p must be well below k.
+    longest : int
+        Longest lag looked at [profiles].
+
+    Returns
+    -------
+    CentreNoise
+    """
+    a = basis / sigma[:, None]
+    q, r = np.linalg.qr(a)
+    rank = int(np.sum(np.abs(np.diag(r)) > 1e-8 * np.abs(np.diag(r)).max()))
+    pull = offset / sigma - q @ (q.T @ (offset / sigma))
+    k = len(pull)
+    index = np.round(t - t.min()).astype(int)
+    line = np.full(index.max() + longest + 2, np.nan)
+    line[index] = pull
+    scale2 = float(pull @ pull) / max(k - rank, 1)
+    rho = np.zeros(longest + 1)
+    rho[0] = 1.0
+    for lag in range(1, longest + 1):
+        product = line[:-lag] * line[lag:]
+        pairs = np.isfinite(product)
+        if pairs.sum() < 20:
+            break
+        # The smooth curve takes p of k degrees of freedom from every lag that it can follow.
+        value = np.nanmean(product) / max(scale2, 1e-30) + rank / k
+        if value < 3.0 / np.sqrt(pairs.sum()):
+            break
+        rho[lag] = value
+    inflation = 1 + 2 * rho[1:].sum()
+    scale2 = float(pull @ pull) / max(k - rank * inflation, 0.5 * k)
+    return CentreNoise(np.sqrt(scale2), np.sqrt(scale2 * inflation / (2 * max(k - rank, 1))), rho)
+
+
+def spline_basis(t: Array, span: tuple[float, float], step: float) -> Array:
+    """Cubic B-splines with knots every ``step``, those that no datum touches left out, (k, p)."""
+    pieces = max(1, round((span[1] - span[0]) / step))
+    knots = np.concatenate([[span[0]] * 3, np.linspace(span[0], span[1], pieces + 1), [span[1]] * 3])
+    basis = BSpline.design_matrix(np.clip(t, *span), knots, 3).toarray()
+    return basis[:, np.abs(basis).sum(axis=0) > 0.5]

@@ -1,0 +1,248 @@
+"""The line's own mean shape, estimated from the data: a spline across the line, varying slowly along it.
+
+No shape is assumed: neither Gaussian nor the pattern of a slit nor the pixel's own response, which is part of what is
+measured. All profiles share the shape, so its noise is small, and a profile is then placed by its whole shape,
+as precisely as a known shape would be. What ties the shape to a position is its centroid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, CubicSpline
+from scipy.linalg import cho_factor, cho_solve
+
+Array = NDArray[np.float64]
+
+KNOT_STEP = 0.75
+"""Knots across the line [px]; a picture sampled by whole pixels holds nothing finer."""
+
+MAX_ORDER = 4
+"""Highest Legendre order of the change along the line; the order used is the one of least BIC."""
+
+CHANGE = 0.3
+"""1 sigma of the prior on each term of change along the line, in units of the peak: holds what saturation hides."""
+
+_NODES = 33
+_GRID_STEP = 0.05
+
+
+def legendre(t: Array, span: tuple[float, float], order: int) -> Array:
+    """Legendre polynomials 0 … order of t scaled from span to [-1, 1], (..., order + 1)."""
+    scaled = 2 * (np.asarray(t) - span[0]) / max(span[1] - span[0], 1e-9) - 1
+    return np.polynomial.legendre.legvander(np.clip(scaled, -1, 1), order)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """P(x, t): light at x across the line [px], at t along it [px]; zero outside ±``half_width``, unit integral.
+
+    Attributes
+    ----------
+    spline : BSpline
+        Values (order + 1,): the coefficients of the Legendre terms along the line, before normalisation.
+    span : (low, high) px
+        Range of t.
+    core : float
+        Half width [px] of the window, about the centroid, of the centroid, flux and moments.
+    half_width : float
+        [px] The flanks from ``core`` to here define zero.
+    integral, centroid, width, skewness : CubicSpline
+        Functions of t: integral over the core; centroid [px]; adaptive rms width about the centroid [px]; third
+        standardised moment of the core.
+    factor : (order + 1, r) array
+        ``legendre(t) @ factor / integral(t)`` times r independent unit normals is the error of the centroid [px].
+    """
+
+    spline: BSpline
+    span: tuple[float, float]
+    core: float
+    half_width: float
+    integral: CubicSpline
+    centroid: CubicSpline
+    width: CubicSpline
+    skewness: CubicSpline
+    factor: Array
+
+    @property
+    def order(self) -> int:
+        """Legendre order of the change along the line."""
+        return self.spline.c.shape[1] - 1
+
+    def evaluate(self, x: Array, t: Array) -> tuple[Array, Array]:
+        """P and dP/dx at x (k, m) of profiles at t (k,)."""
+        terms = legendre(t, self.span, self.order) / self.integral(t)[:, None]
+        inside = np.abs(x) <= self.half_width
+        at = np.clip(x, -self.half_width, self.half_width).ravel()
+        value = self.spline(at).reshape(*x.shape, -1)
+        slope = self.spline(at, 1).reshape(*x.shape, -1)
+        return (
+            np.where(inside, np.einsum("kmj,kj->km", value, terms), 0.0),
+            np.where(inside, np.einsum("kmj,kj->km", slope, terms), 0.0),
+        )
+
+    def centroid_factor(self, t: Array) -> Array:
+        """Error of the centroid at t (k,) per unit normal, (k, r) [px]."""
+        return legendre(t, self.span, self.order) @ self.factor / self.integral(t)[:, None]
+
+
+def fit_shape(
+    x: Array, t: Array, y: Array, weight: Array, span: tuple[float, float], core: float, half_width: float
+) -> Shape:
+    """Weighted least squares of a tensor spline: cubic across the line, Legendre along it, its order chosen by BIC.
+
+    Priors, weak against any line worth measuring: third differences across the line 1 peak, changes along it
+    `CHANGE` peaks (1 sigma).
+
+    Parameters
+    ----------
+    x, t : (n,) array
+        Place of each pixel across and along the line [px].
+    y : (n,) array
+        Its light, background removed, over the flux of its profile [1/px].
+    weight : (n,) array
+        1/variance of y.
+    span, core, half_width
+        As in `Shape`.
+    """
+    pieces = max(4, round(2 * half_width / KNOT_STEP))
+    knots = np.concatenate([[-half_width] * 3, np.linspace(-half_width, half_width, pieces + 1), [half_width] * 3])
+    count = pieces + 3
+    order = np.argsort(x)
+    x, t, y, weight = x[order], t[order], y[order], weight[order]
+    design = BSpline.design_matrix(np.clip(x, -half_width, half_width), knots, 3)
+    value, first = design.data.reshape(-1, 4), design.indices.reshape(-1, 4)[:, 0]
+    terms = legendre(t, span, MAX_ORDER)
+    normal, right = _normal_equations(value, first, terms, y, weight, count)
+    square = float(weight @ y**2)
+    flat = np.linalg.solve(normal[0, 0] + 1e-9 * np.trace(normal[0, 0]) / count * np.eye(count), right[0])
+    peak = max(float(flat.max()), 1e-12)
+    third = np.diff(np.eye(count), 3, axis=0)
+    smooth = third.T @ third / peak**2
+    best: tuple[float, Array, Array] | None = None
+    for j in range(MAX_ORDER + 1):
+        prior = np.kron(np.eye(j + 1), smooth)
+        prior[count:, count:] += np.eye(j * count) / (CHANGE * peak) ** 2
+        block = normal[: j + 1, : j + 1].transpose(0, 2, 1, 3).reshape((j + 1) * count, -1) + prior
+        factor = cho_factor(block + 1e-12 * np.trace(block) / len(block) * np.eye(len(block)))
+        r = right[: j + 1].ravel()
+        c = cho_solve(factor, r)
+        chi2 = square - float(c @ r)
+        # Terms that the data hold, not those that only the prior holds.
+        free = float(np.sum(1 - np.diag(cho_solve(factor, prior))))
+        if j == 0:
+            scale = chi2 / max(len(y) - free, 1.0)
+        bic = chi2 / max(scale, 1e-30) + free * np.log(len(y))
+        if best is None or bic < best[0]:
+            best = (bic, c.reshape(j + 1, count).T, cho_solve(factor, np.eye(len(block))))
+        else:
+            break
+    assert best is not None
+    return _finish(knots, best[1], best[2], span, core, half_width)
+
+
+def _normal_equations(
+    value: Array, first: NDArray[np.intp], terms: Array, y: Array, weight: Array, count: int
+) -> tuple[Array, Array]:
+    """Normal matrix (term, term, count, count) and right side (term, count); x sorted, so ``first`` is too."""
+    k = terms.shape[1]
+    starts = np.flatnonzero(np.diff(first, prepend=-1))
+    at = first[starts]
+    pairs = [(j, i) for j in range(k) for i in range(j, k)]
+    products = np.stack([terms[:, j] * terms[:, i] for j, i in pairs], axis=1)
+    normal = np.zeros((k, k, count, count))
+    right = np.zeros((k, count))
+    for a in range(4):
+        wa = weight * value[:, a]
+        right[:, at + a] += np.add.reduceat((wa * y)[:, None] * terms, starts, axis=0).T
+        for b in range(a, 4):
+            sums = np.add.reduceat((wa * value[:, b])[:, None] * products, starts, axis=0)
+            for q, (j, i) in enumerate(pairs):
+                normal[j, i, at + a, at + b] += sums[:, q]
+    for j, i in pairs:
+        upper = np.triu(normal[j, i])
+        normal[j, i] = upper + np.triu(upper, 1).T
+        normal[i, j] = normal[j, i]
+    return normal, right
+
+
+def _finish(
+    knots: Array, c: Array, covariance: Array, span: tuple[float, float], core: float, half_width: float
+) -> Shape:
+    """Set the flanks to zero and work out integral, centroid and moments along the line."""
+    steps = round(2 * half_width / _GRID_STEP)
+    grid = np.linspace(-half_width, half_width, 2 * (steps // 2) + 1)
+    step = grid[1] - grid[0]
+    basis = BSpline.design_matrix(grid, knots, 3).toarray()
+    rough = basis @ c[:, 0]
+    inner = np.abs(grid) <= core
+    middle = float(np.sum((grid * rough)[inner]) / np.sum(rough[inner])) if np.sum(rough[inner]) else 0.0
+    middle = float(np.clip(middle, -core / 2, core / 2))
+    level = basis[np.abs(grid - middle) > core].mean(axis=0)
+    c = c - (level @ c)[None, :]
+    count, k = c.shape
+    tail = _tail(grid - middle, basis, core, c, covariance[:count, :count])
+    nodes = np.linspace(*span, _NODES)
+    terms = legendre(nodes, span, k - 1)
+    light = (basis @ c) @ terms.T
+    centre = np.full(_NODES, middle)
+    for _ in range(4):
+        window = np.clip((core - np.abs(grid[:, None] - centre)) / step + 0.5, 0, 1)
+        total = np.maximum((window * light).sum(axis=0), 1e-12)
+        centre = np.clip((window * light * grid[:, None]).sum(axis=0) / total, -core / 2, core / 2)
+    offset = grid[:, None] - centre
+    width = _adaptive_width(offset, window * light)
+    second = np.maximum((window * light * offset**2).sum(axis=0) / total, 1e-12)
+    skew = (window * light * offset**3).sum(axis=0) / total / second**1.5
+    inner_window = np.clip((core - np.abs(grid - centre.mean())) / step + 0.5, 0, 1) * (grid - centre.mean()) * step
+    pull = inner_window @ basis - inner_window.sum() * level + tail
+    spread = np.einsum("a,jaib,b->ji", pull, covariance.reshape(k, count, k, count), pull)
+    value, vector = np.linalg.eigh((spread + spread.T) / 2)
+    return Shape(
+        BSpline(knots, c, 3),
+        span,
+        core,
+        half_width,
+        CubicSpline(nodes, total * step),
+        CubicSpline(nodes, centre + terms @ (tail @ c) / (total * step)),
+        CubicSpline(nodes, width),
+        CubicSpline(nodes, skew),
+        vector * np.sqrt(np.maximum(value, 0.0)),
+    )
+
+
+def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array) -> Array:
+    """First moment beyond the core as a linear functional of the coefficients, (count,).
+
+    An edge's diffraction falls off as a/(x - e)², so what is antisymmetric in it as b/x³, and carries the moment 2b/core.
+    The two halves of the flank must agree on b; where something else shines in the flank they do not, and nothing is
+    added.
+    """
+    reach = float(min(-x[0], x[-1]))
+    cut = (core**-5 + reach**-5) / 2
+    near = (np.abs(x) > core) & (np.abs(x) <= reach)
+    parts = []
+    for part in (near & (np.abs(x) ** -5.0 >= cut), near & (np.abs(x) ** -5.0 < cut)):
+        h = np.where(part, np.sign(x) / np.maximum(np.abs(x), core) ** 3, 0.0)
+        parts.append(h @ basis / max(float(h @ h), 1e-300))
+    difference = parts[0] - parts[1]
+    mean = (parts[0] + parts[1]) / 2
+    sigma = np.sqrt(max(float(difference @ covariance @ difference), 0.0))
+    if abs(difference @ c[:, 0]) > 5 * sigma + 0.5 * abs(mean @ c[:, 0]):
+        return np.zeros(len(mean))
+    return mean * 2 / core
+
+
+def _adaptive_width(offset: Array, light: Array) -> Array:
+    """Width σ of the Gaussian that matches each column under its own weight: 2 Σ W L q² = σ² Σ W L, W = exp(-q²/2σ²).
+
+    Bernstein & Jarvis 2002, AJ 123, 583, in one dimension. The rms for a Gaussian, finite where the variance is not.
+    """
+    var = np.maximum((light * offset**2).sum(axis=0) / np.maximum(light.sum(axis=0), 1e-12), 0.04)
+    for _ in range(25):
+        weighted = light * np.exp(-0.5 * offset**2 / var)
+        inner = np.maximum((weighted * offset**2).sum(axis=0) / np.maximum(weighted.sum(axis=0), 1e-12), 1e-6)
+        var = np.clip(1.0 / np.maximum(1.0 / inner - 1.0 / var, 1e-6), var / 4, 4 * var)
+    return np.sqrt(var)
