@@ -1,8 +1,6 @@
-"""The predicted trace of one exposure: centre line, width, flux, phase; and its derivatives by the setting errors."""
+"""The predicted trace of one exposure: centre line, width, flux, phase, and the irradiance across it."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,23 +20,6 @@ Array = NDArray[np.float64]
 
 MOST = 128
 """Cap on the nodes in one direction; beams narrower than a twentieth of the facet reach it and are placed less well."""
-
-COMPONENTS = (
-    "mirror_position_x",
-    "mirror_position_y",
-    "mirror_position_z",
-    "mirror_axis_n",
-    "mirror_axis_b",
-    "laser_azimuth",
-    "laser_elevation",
-    "screen_position_x",
-    "screen_position_y",
-    "screen_position_z",
-    "screen_angle_x",
-    "screen_angle_y",
-    "screen_angle_z",
-)
-"""Order of the columns of `jacobian` and of `setting_errors`: mm for positions, rad for angles."""
 
 FAINT = 1e-9
 """Share of a trace's brightest flux, and of the laser's power on the board, below which the mirror misses the beam."""
@@ -304,9 +285,20 @@ def _irradiance(bench: Bench, nodes: Profiles, q: Array) -> Array:
     sigma = source.blur_sigma(bench.laser)
     if sigma == 0:
         return sharp(q)
-    x, w = np.polynomial.hermite_e.hermegauss(15)
     reach = sigma * nodes.mean(nodes.lateral)[:, None]
-    return np.sum([wi * sharp(q - reach * xi) for xi, wi in zip(x, w / w.sum(), strict=True)], axis=0)
+    geometric, slit = scales(nodes, bench.laser.wavelength, bench.mirror.height)
+    if bench.physics.diffraction and np.max(reach[:, 0] / slit) < 0.3:
+        # A blur finer than the pattern: a few shifted patterns, exact to the pattern's band limit.
+        x, w = np.polynomial.hermite_e.hermegauss(7)
+        return np.sum([wi * sharp(q - reach * xi) for xi, wi in zip(x, w / w.sum(), strict=True)], axis=0)
+    # Otherwise the sharp profile on a grid of its own, each of its samples spread into a Gaussian.
+    extent = 2 * geometric + (20 * slit if bench.physics.diffraction else 0.0)
+    step = np.minimum(0.4 * slit if bench.physics.diffraction else 0.02 * geometric, 0.6 * reach[:, 0])
+    count = int(np.ceil(np.max(extent / step)))
+    grid = extent[:, None] * np.linspace(-1, 1, 2 * count + 1)
+    light = sharp(grid) * (extent / count)[:, None]
+    spread = np.exp(-0.5 * ((q[:, :, None] - grid[:, None, :]) / reach[:, :, None]) ** 2)
+    return np.einsum("pqg,pg->pq", spread, light) / (np.sqrt(2 * np.pi) * reach)
 
 
 def irradiance_profiles(
@@ -393,66 +385,4 @@ def irradiance(
     near = (np.abs(distance) <= q[-1]) & (s >= 0) & (s <= curve.arc_length()[-1])
     across = RegularGridInterpolator((curve.arc_length(), q), table, method="linear")
     out[near] = across(np.column_stack([s[near], distance[near]]))
-    return out
-
-
-def setting_errors(vector: Array) -> SettingErrors:
-    """Setting errors from the 13 numbers in the order of `COMPONENTS` [mm, rad]."""
-    v = np.asarray(vector, float)
-    return SettingErrors(v[0:3], v[3:5], v[5:7], v[7:10], v[10:13])
-
-
-def jacobian(
-    laser: Laser,
-    mirror: Mirror,
-    physics: Physics,
-    screen: Screen,
-    exposure: Exposure,
-    points: Array,
-    *,
-    errors: Array | None = None,
-    step_mm: float = 0.02,
-    step_rad: float = 2e-5,
-    samples: int = 64,
-) -> Array:
-    """How the trace shifts with the setting errors: derivative of the shift of the curve along its left normal.
-
-    Points measured on a trace whose setting errors are p lie at `signed_distance` ≈ J p from the curve predicted
-    without errors. Central differences; their error is below 1e-5 of a column's largest entry on the nominal bench.
-
-    Parameters
-    ----------
-    laser, mirror, physics, screen, exposure
-        The stated bench.
-    points : (n, 2) array [mm]
-        Where on the board, on or near the trace.
-    errors : (13,) array, optional
-        Setting errors about which to differentiate [mm, rad]; default none.
-    step_mm, step_rad : float
-    samples : int
-        Points of the curves that are differenced.
-
-    Returns
-    -------
-    (n, 13) ndarray
-        Columns in the order of `COMPONENTS` [mm per mm, mm per rad].
-
-    Raises
-    ------
-    BenchsimError
-        As `trace_curve`.
-    """
-    physics = replace(physics, diffraction=False)  # it does not move the centre line, and costs time
-    base = np.zeros(13) if errors is None else np.asarray(errors, float)
-    out = np.empty((len(points), 13))
-    for j, name in enumerate(COMPONENTS):
-        step = step_mm if "position" in name else step_rad
-        side = []
-        for sign in (1.0, -1.0):
-            moved = base.copy()
-            moved[j] += sign * step
-            there = place(mirror, exposure, setting_errors(moved))
-            curve = trace_curve(laser, mirror, physics, screen, there, facet=exposure.facet, samples=samples)
-            side.append(signed_distance(curve, points)[0])
-        out[:, j] = (side[1] - side[0]) / (2 * step)
     return out

@@ -75,7 +75,7 @@ def interpolation(nodes: Array, new: Array) -> Array:
     return legendre.legvander(new, degree) @ np.linalg.inv(legendre.legvander(nodes, degree))
 
 
-def smear(nodes: Profiles, sigma: float, q: Array, light: Array, points: int = 7) -> tuple[Array, Array]:
+def smear(nodes: Profiles, sigma: float, q: Array, light: Array, points: int = 21) -> tuple[Array, Array]:
     """Split each node's light over a Gaussian turn of its ray (incoherent divergence).
 
     Parameters

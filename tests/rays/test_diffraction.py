@@ -83,19 +83,18 @@ def test_profiles_hold_the_flux_the_mean_and_the_width(diffraction):
 
 @pytest.mark.parametrize("diffraction", [False, True])
 def test_map_holds_the_flux(diffraction):
-    """A square of the map, summed, is the flux over the stretch of curve that crosses it."""
+    """Two rows of the map at the board's centre, summed, are the flux of the curve that crosses them."""
     p = place(Mirror(), FIG7A)
     physics = Physics(True, True, diffraction)
     g = np.arange(-20, 20, 0.1) + 0.05
-    y, z = np.meshgrid(g, g)
+    y, z = np.meshgrid(g, [-0.05, 0.05])
     light = irradiance(Laser(), Mirror(), physics, Screen(), p, np.stack([y.ravel(), z.ravel()], 1))
     curve = trace_curve(Laser(), Mirror(), physics, Screen(), p, samples=200)
-    # The trace crosses the square from top to bottom: integrate over z, one row at a time, at the height of the centre.
     tangent = np.gradient(curve.points, curve.arc_length(), axis=0)
     per_z = curve.flux / np.abs(tangent[:, 1])
     order = np.argsort(curve.points[:, 1])
     expected = np.interp(0.0, curve.points[order, 1], per_z[order]) * 0.1
-    row = light.reshape(y.shape)[len(g) // 2 - 1 : len(g) // 2 + 1].sum(axis=1).mean() * 0.01
+    row = light.reshape(y.shape).sum(axis=1).mean() * 0.01
     assert row == pytest.approx(expected, rel=2e-2 if diffraction else 1e-3)
 
 
