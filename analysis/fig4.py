@@ -123,7 +123,7 @@ def panels(count: int, title: str, note: str) -> tuple[Figure, list[Axes]]:
     """A figure of ``count`` square panels in rows of three, with title and a note below."""
     columns = min(3, count)
     rows = -(-count // columns)
-    figure = Figure(figsize=(4.3 * columns, 4.05 * rows + 1.0), layout="constrained")
+    figure = Figure(figsize=(4.3 * columns, 4.2 * rows + 1.0), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     figure.suptitle(title, fontsize=13, x=0.01, ha="left", weight="bold")
     figure.supxlabel(note, fontsize=9, x=0.01, ha="left", color="#5f6368")

@@ -130,7 +130,7 @@ def main(argv: Sequence[str] | None = None) -> Path:
     parser.add_argument("--errors", type=float, nargs="+", default=[0, 2, 4, 6, 8, 10, 12], help="[mrad]")
     parser.add_argument("--lowest-sun", type=float, default=5.0, help="elevation that begins the day [deg]")
     parser.add_argument("--step", type=float, default=5.0, help="[min] (default %(default)s)")
-    parser.add_argument("--window", type=float, default=25.0, help="half-width of the panels [m] (default %(default)s)")
+    parser.add_argument("--window", type=float, default=30.0, help="half-width of the panels [m] (default %(default)s)")
     args = parser.parse_args(argv)
     f = field(args)
     errors = np.array(args.errors) * 1e-3
