@@ -74,7 +74,7 @@ class Cylinder:
 def first_normal(centre: ArrayLike, source: ArrayLike) -> Array:
     """First approximation of n(0,0), which neglects r (Carretero 2019, Eqs (16) and (18)).
 
-    It bisects at C in place of P. In Fig. 7 that turns the normal by 2 mrad and moves the trace by 7–8 mm:
+    It bisects at C in place of P. In Figs 7a/7b that turns the normal by 1.9/1.5 mrad and moves the trace by 8/7 mm:
     use :func:`benchsim.bench.place.ideal_normal`, Eq. (17) to convergence, for anything but showing that error.
 
     Parameters
