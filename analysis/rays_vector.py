@@ -14,7 +14,8 @@ import numpy as np
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Laser, Mirror, Physics, Screen
 from benchsim.bench.place import place
-from benchsim.rays import setting_errors, trace_curve
+from benchsim.bench.settings import from_vector
+from benchsim.rays import trace_curve
 from benchsim.vector import trace
 
 BAR = 1e-9
@@ -42,7 +43,7 @@ def compare(settings: int, seed: int) -> tuple[np.ndarray, int]:
             rng.uniform(-100, 200),
             rng.uniform(-np.pi, np.pi),
         )
-        placement = place(mirror, exposure, setting_errors(rng.normal(size=13) * SIGMA))
+        placement = place(mirror, exposure, from_vector(rng.normal(size=13) * SIGMA))
         try:
             ours = trace_curve(Laser(), mirror, Physics(False, False, False), Screen(), placement, samples=64)
         except BenchsimError:
