@@ -185,7 +185,7 @@ def test_a_moved_board_moves_the_trace_back():
     """Moving the board by δ moves the trace on it by −δ; turning it about x turns the trace back."""
     nominal, delta = curve_of(samples=64), 0.05
     moved = curve_of(samples=64, errors=SettingErrors(screen_position=np.array([0.0, delta, -delta])))
-    d, _ = signed_distance(nominal, moved.points[5:-5] + [delta, -delta])
+    d, _ = signed_distance(nominal, moved.points[5:-5] + np.array([delta, -delta]))
     np.testing.assert_allclose(d, 0, atol=1e-6)
     turned = curve_of(samples=64, errors=SettingErrors(screen_angle=np.array([1e-3, 0.0, 0.0])))
     c, s = np.cos(1e-3), np.sin(1e-3)
