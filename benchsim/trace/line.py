@@ -224,38 +224,47 @@ def _measured(
     rows = open_rows & (flux > 0)
     fit: Profiles | None = None
     shape: Shape | None = None
-    use = unsaturated
+    use, zoom = unsaturated, np.ones(len(band.t))
     for turn in range(3):
         if rows.sum() < LEAST_PROFILES:
             return None
         y = signal - background[:, None]
-        pick = use & rows[:, None]
+        x = band.n / zoom[:, None]
+        near = use & (np.abs(x) <= half_width)
+        pick = near & rows[:, None]
         row = np.nonzero(pick)[0]
+        scale = flux / zoom
         shape = fit_shape(
-            band.n[pick],
-            band.t[row],
-            y[pick] / flux[row],
-            flux[row] ** 2 / variance[pick],
-            span,
-            core,
-            half_width,
+            x[pick], band.t[row], y[pick] / scale[row], scale[row] ** 2 / variance[pick], span, core, half_width
         )
-        weight = np.where(use, 1 / variance, 0.0)
-        fit = fit_profiles(band.n, signal, weight, band.t, shape, None if turn == 0 else fit)
+        weight = np.where(near, 1 / variance, 0.0)
+        fit = fit_profiles(x, signal, weight, band.t, shape, None if turn < 2 else fit)
         strong = open_rows & (fit.flux > FAINT_SIGMA * fit.flux_sigma)
         rows = strong & (fit.shift_sigma < core / 3) & (np.abs(fit.shift) < core / 2)
         if rows.sum() < LEAST_PROFILES:
             return None
-        pick = use & rows[:, None]
-        freedom = 1 - 4 * rows.sum() / pick.sum()
+        pick = near & rows[:, None]
         level = level0 + fit.model
-        noise = fit_pixel_noise((signal - fit.model)[pick], level[pick], fit.line[pick], freedom)
+        noise = fit_pixel_noise((signal - fit.model)[pick], level[pick], fit.line[pick], fit.leverage[pick])
         variance = noise.variance(level, fit.line)
-        background, flux = fit.background, np.maximum(fit.flux, 1e-30)
+        background, flux = fit.background, np.maximum(fit.flux * zoom, 1e-30)
+        if turn == 0:
+            zoom = _zoom(shape, fit, band.t, rows, span)
+            flux = np.maximum(fit.flux, 1e-30)
         if clipped.any():
             use = unsaturated & (_total(picture, band, fit.model) < picture.ceiling - 4 * np.sqrt(variance))
     assert fit is not None and shape is not None
-    return _judged(picture, band, curve, span, shape, fit, status, strong, clipped, inner, slope_factor)
+    return _judged(band, zoom, curve, span, shape, fit, status, strong, clipped & inner, inner, slope_factor)
+
+
+def _zoom(shape: Shape, fit: Profiles, t: Array, rows: Mask, span: tuple[float, float]) -> Array:
+    """Width of the line along it over its mean, a quadratic in t: what then changes is the shape alone."""
+    terms = legendre(t, span, 2)
+    log_width = fit.stretch + np.log(shape.width(t))
+    weight = np.where(rows, fit.flux / np.maximum(fit.flux_sigma, 1e-30), 0.0)
+    coefficients = np.linalg.lstsq(terms * weight[:, None], log_width * weight, rcond=None)[0]
+    # Within a factor of two: beyond, the profiles are too poor to say.
+    return np.exp(np.clip(terms[:, 1:] @ coefficients[1:], -0.7, 0.7))
 
 
 def _total(picture: Picture, band: Band, model: Array) -> Array:
@@ -295,8 +304,8 @@ def _slope(
 
 
 def _judged(
-    picture: Picture,
     band: Band,
+    zoom: Array,
     curve: BSpline,
     span: tuple[float, float],
     shape: Shape,
@@ -309,8 +318,9 @@ def _judged(
 ) -> Line | None:
     """Discard what is not a clean profile, calibrate the sigmas, put the parts together."""
     t = band.t
-    saturated = (clipped & inner).sum(axis=1) / np.maximum(inner.sum(axis=1), 1)
-    width = shape.width(t) * np.exp(fit.stretch)
+    saturated = clipped.sum(axis=1) / np.maximum(inner.sum(axis=1), 1)
+    width = shape.width(t) * np.exp(fit.stretch) * zoom
+    shift_sigma = fit.shift_sigma * zoom
     status = status.copy()
     loose = (fit.shift_sigma > 0.5 * shape.width(t)) | (np.abs(fit.shift) > shape.core / 2)
     status[(status == KEPT) & loose & (saturated > 0)] = SATURATED
@@ -328,13 +338,13 @@ def _judged(
     kept = status == KEPT
     if kept.sum() < LEAST_PROFILES:
         return None
-    offset = fit.shift + shape.centroid(t)
+    offset = (fit.shift + shape.centroid(t)) * zoom
     noise = None
     for _ in range(3):
         basis = spline_basis(t[kept], span, 40.0)
-        noise = centre_noise(t[kept], offset[kept], fit.shift_sigma[kept], basis)
-        smooth = smooth_curve(t[kept], offset[kept], fit.shift_sigma[kept] ** -2, span)
-        pull = (offset - smooth(t)) / fit.shift_sigma
+        noise = centre_noise(t[kept], offset[kept], shift_sigma[kept], basis)
+        smooth = smooth_curve(t[kept], offset[kept], shift_sigma[kept] ** -2, span)
+        pull = (offset - smooth(t)) / shift_sigma
         middle = 1.4826 * np.median(np.abs(pull[kept]))
         stray = kept & (np.abs(pull) > threshold * max(middle, noise.scale if middle == 0 else middle))
         if not stray.any():
@@ -345,10 +355,10 @@ def _judged(
             return None
     assert noise is not None
     k = np.flatnonzero(kept)
-    sigma = fit.shift_sigma[k] * noise.scale
-    factor = [_beyond_shifts(shape, t[k], sigma, noise)]
+    sigma = shift_sigma[k] * noise.scale
+    factor = [_beyond_shifts(shape, t[k], sigma / zoom[k], noise) * zoom[k, None]]
     if slope_factor is not None:
-        factor.append(slope_factor[k] * (2 * shape.core**3 / 3 / fit.flux[k])[:, None])
+        factor.append(slope_factor[k] * (2 * (shape.core * zoom[k]) ** 3 / 3 / (fit.flux * zoom)[k])[:, None])
     normal = band.normal[k]
     gone = np.flatnonzero(status != KEPT)
     return Line(
@@ -358,7 +368,7 @@ def _judged(
         normal,
         sigma,
         width[k],
-        fit.flux[k],
+        (fit.flux * zoom)[k],
         shape.skewness(t[k]),
         saturated[k],
         np.concatenate(factor, axis=1),

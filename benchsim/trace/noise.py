@@ -20,7 +20,7 @@ class PixelNoise:
     """Variance of a pixel: ``read + shot · level + speckle · signal²``, in the units of the light squared.
 
     ``level`` is all light that made the pixel, the dark picture's included; ``signal`` the laser's part.
-    ``levels`` and ``cap`` are the range of levels over which it was measured.
+    ``floor`` keeps pixels of no measured noise from infinite weight.
     """
 
     read: float
@@ -33,21 +33,21 @@ class PixelNoise:
         return np.maximum(self.read + self.shot * np.maximum(level, 0) + self.speckle * signal**2, self.floor)
 
 
-def fit_pixel_noise(residual: Array, level: Array, signal: Array, freedom: float) -> PixelNoise:
+def fit_pixel_noise(residual: Array, level: Array, signal: Array, leverage: Array) -> PixelNoise:
     """Variance against light by non-negative least squares on squared residuals.
 
     Parameters
     ----------
     residual, level, signal : (n,) array
         Of pixels; level and signal are the model's, so that the weights do not follow the noise.
-    freedom : float
-        Degrees of freedom per pixel, 0 … 1.
+    leverage : (n,) array
+        Share of its own noise that the fit followed in each pixel, 0 … 1.
 
     Returns
     -------
     PixelNoise
     """
-    square = residual**2 / freedom
+    square = residual**2 / np.maximum(1 - leverage, 0.1)
     # A hot pixel or a scratch must not set the noise: six sigma of the pixels at the same level.
     order = np.argsort(level + signal)
     groups = np.array_split(order, max(1, min(60, len(order) // 50)))

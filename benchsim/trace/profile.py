@@ -21,7 +21,7 @@ class Profiles:
     ``flux`` (light · px across the line), ``shift`` (px, of the line's shape from where it was estimated), ``stretch``
     (log of the width over the shape's), ``background``; ``flux_sigma`` and ``shift_sigma`` 1 sigma of the pixels' noise
     with all four free; ``chi2`` and ``pixels`` (used). ``model`` and ``line`` (k, m): fitted light with and without the
-    background.
+    background; ``leverage`` (k, m): share of each pixel's own noise that the fit follows.
     """
 
     flux: Array
@@ -34,6 +34,7 @@ class Profiles:
     pixels: Array
     model: Array
     line: Array
+    leverage: Array
 
 
 def fit_profiles(x: Array, y: Array, weight: Array, t: Array, shape: Shape, start: Profiles | None = None) -> Profiles:
@@ -96,6 +97,7 @@ def fit_profiles(x: Array, y: Array, weight: Array, t: Array, shape: Shape, star
         (weight > 0).sum(axis=1),
         model,
         line,
+        np.einsum("kam,kab,kbm->km", weighted, covariance, jacobian, optimize=True),
     )
 
 

@@ -16,8 +16,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 Array = NDArray[np.float64]
 
-KNOT_STEP = 0.75
-"""Knots across the line [px]; a picture sampled by whole pixels holds nothing finer."""
+KNOT_STEP = (0.5, 1.5)
+"""Knots across the line [px] in the core and in the flanks: a pixel's own response holds nothing finer than the first."""
 
 MAX_ORDER = 4
 """Highest Legendre order of the change along the line; the order used is the one of least BIC."""
@@ -107,9 +107,8 @@ def fit_shape(
     span, core, half_width
         As in `Shape`.
     """
-    pieces = max(4, round(2 * half_width / KNOT_STEP))
-    knots = np.concatenate([[-half_width] * 3, np.linspace(-half_width, half_width, pieces + 1), [half_width] * 3])
-    count = pieces + 3
+    knots = _knots(core, half_width)
+    count = len(knots) - 4
     order = np.argsort(x)
     x, t, y, weight = x[order], t[order], y[order], weight[order]
     design = BSpline.design_matrix(np.clip(x, -half_width, half_width), knots, 3)
@@ -141,6 +140,13 @@ def fit_shape(
             break
     assert best is not None
     return _finish(knots, best[1], best[2], span, core, half_width)
+
+
+def _knots(core: float, half_width: float) -> Array:
+    inner = np.linspace(-core, core, 2 * max(2, round(core / KNOT_STEP[0])) + 1)
+    outer = np.linspace(core, half_width, max(1, round((half_width - core) / KNOT_STEP[1])) + 1)[1:]
+    middle = np.concatenate([-outer[::-1], inner, outer])
+    return np.concatenate([[-half_width] * 3, middle, [half_width] * 3])
 
 
 def _normal_equations(
