@@ -1,0 +1,368 @@
+"""Straight edges between black and white, fitted to the raw pixels around them.
+
+Every pixel near an edge is used once and none is interpolated, so their noise is independent and the covariance is
+honest. The model is a blurred step, I(d) = black + (contrast + slope s) Φ(d/σ), in coordinates where the lens'
+distortion is undone; its place is where blur, being symmetric, leaves it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from benchsim.bench.model import Camera
+from benchsim.trace.lens import distort, undistort
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_PARAMETERS = 6  # offset, tilt, and the four of the shape
+_BLACK, _CONTRAST, _SLOPE, _BLUR = range(4)  # columns of a shape: light, light, light per px, log px
+
+OUTLIER_SIGMA = 5.0
+"""Pixels this far off are no noise: of 3 million, noise alone puts one there."""
+
+CELLS = 8
+"""Cells along the black square of an AprilTag 36h11: 6 of data and a black border of one."""
+
+_PRIOR_PIXELS = 30
+"""Weight of the picture's typical scatter against an edge's own, in pixels: short edges measure theirs badly."""
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Approximate edges and what is known about their surroundings, undistorted pixels; four in a row are a mark's.
+
+    Attributes
+    ----------
+    start, end : (e, 2) px
+        Corners between which each edge runs; white lies on the side of (a_v, −a_u), a the direction from start to end.
+    depth : (e, 2) px
+        Distance across the edge, at start and end, over which it stays black inside.
+    inner : (e, 8) bool
+        Which of the eight cells behind the black ones, from start to end, are white.
+    """
+
+    start: Array
+    end: Array
+    depth: Array
+    inner: Mask
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """Lines fitted to edges.
+
+    Attributes
+    ----------
+    point : (e, 2) px
+        Middle of each edge, undistorted pixels.
+    along, normal : (e, 2)
+        Unit; normal towards the white side.
+    covariance : (e, 2, 2)
+        Of the place across [px] at ``point`` and of the tilt [rad].
+    black, contrast : (e,)
+        Light at the edge's middle.
+    blur : (e,) px
+        Standard deviation of the step's blur, the pixel's own width included.
+    used : (e,)
+        Fraction of the edge's length (without its ends) that the fit rests on.
+    scatter : (e,)
+        rms of the residuals, as a fraction of the contrast.
+    """
+
+    point: Array
+    along: Array
+    normal: Array
+    covariance: Array
+    black: Array
+    contrast: Array
+    blur: Array
+    used: Array
+    scatter: Array
+
+
+def fit_edges(light: NDArray[np.float32], saturated: Mask, camera: Camera, edges: Edges, floor: float = 0.0) -> EdgeFit:
+    """Fit a line to every edge.
+
+    Two passes: a wide window finds the edge and its blur from corners that may be 1.5 px off; a window of a few blurs
+    then gives the place by Gauss–Newton. Steps along the edge where other light crosses it are left out; light from the
+    white cells behind the black border is predicted from ``inner`` and taken off.
+
+    Parameters
+    ----------
+    light : (h, w) float32
+    saturated : (h, w) bool
+        Not used for the fit.
+    camera : Camera
+        Its distortion is undone.
+    edges : Edges
+    floor : float
+        Least variance of a pixel, that of its quantisation [light²].
+
+    Returns
+    -------
+    EdgeFit
+
+    Notes
+    -----
+    Fails, and says so by ``used`` and ``scatter``, where something else covers the edge. Where light is not linear in
+    radiance (unknown gamma) all four edges of a mark move outward or inward by the same fraction of the blur.
+    """
+    length = np.linalg.norm(edges.end - edges.start, axis=1)
+    cell = edges.depth.min(axis=1)
+    wide = np.clip(cell, 1.5, 8.0)
+    line = _Line((edges.start + edges.end) / 2, (edges.end - edges.start) / length[:, None], length)
+    band = _band(light, saturated, camera, line, -0.8 * wide, wide, np.minimum(2.0, length / 6), floor)
+    fitted = _iterate(band, edges, line, _first_shape(band, line), 6)
+    typical = np.median(fitted.shape[:, _BLUR])
+    fitted.shape[:, _BLUR] = np.clip(fitted.shape[:, _BLUR], typical - np.log(2), typical + np.log(2))
+
+    blur = np.exp(fitted.shape[:, _BLUR])
+    # Two blurs in front of the cells behind the border little of their light is left, and that is predicted.
+    inside = np.minimum(np.maximum(cell - 2 * blur, cell / 2), 5 * blur + 1)
+    outside = np.minimum(np.maximum(cell, 2.0), 5 * blur + 1)
+    margin = np.minimum(3 * blur, length / 4)
+    band = _band(light, saturated, camera, fitted.line, -inside, outside, margin, floor)
+    fitted = _iterate(band, edges, fitted.line, fitted.shape, 4)
+    line, shape = fitted.line, fitted.shape
+    variance = np.maximum(fitted.variance, floor)
+    scatter = variance / np.maximum(shape[:, _CONTRAST], 1e-6) ** 2
+    typical = np.median(scatter) * shape[:, _CONTRAST] ** 2
+    pooled = (variance * fitted.freedom + typical * _PRIOR_PIXELS) / (fitted.freedom + _PRIOR_PIXELS)
+    return EdgeFit(
+        point=line.middle,
+        along=line.along,
+        normal=line.normal,
+        covariance=fitted.covariance * pooled[:, None, None],
+        black=shape[:, _BLACK],
+        contrast=shape[:, _CONTRAST],
+        blur=np.exp(shape[:, _BLUR]),
+        used=_used(band, line, shape, fitted.weight, margin),
+        scatter=np.sqrt(scatter),
+    )
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Lines while they are being fitted, undistorted pixels."""
+
+    middle: Array
+    along: Array
+    length: Array
+
+    @property
+    def normal(self) -> Array:
+        return np.stack([self.along[:, 1], -self.along[:, 0]], axis=1)
+
+    def moved(self, offset: Array, tilt: Array) -> _Line:
+        along = self.along + tilt[:, None] * self.normal
+        return _Line(
+            self.middle + offset[:, None] * self.normal,
+            along / np.linalg.norm(along, axis=1, keepdims=True),
+            self.length,
+        )
+
+
+@dataclass(frozen=True)
+class _Band:
+    """Pixels near each edge, one row per edge, padded: undistorted place (e, p, 2), light, whether used."""
+
+    u: Array
+    v: Array
+    light: Array
+    use: Mask
+
+    def coordinates(self, line: _Line) -> tuple[Array, Array]:
+        """Along from the middle, and across towards white."""
+        u, v = self.u - line.middle[:, :1], self.v - line.middle[:, 1:]
+        (au, av), (nu, nv) = line.along.T[:, :, None], line.normal.T[:, :, None]
+        return u * au + v * av, u * nu + v * nv
+
+
+def _band(
+    light: NDArray[np.float32],
+    saturated: Mask,
+    camera: Camera,
+    line: _Line,
+    low: Array,
+    high: Array,
+    margin: Array,
+    floor: float,
+) -> _Band:
+    """Pixels with ``low <= across <= high``, ``margin`` away from both ends, where no other light crosses the edge."""
+    h, w = light.shape
+    half = line.along * line.length[:, None] / 2
+    ends = distort(camera, np.stack([line.middle - half, line.middle + half], axis=1))
+    run = np.abs(ends[:, 1] - ends[:, 0])
+    upright = run[:, 1] > run[:, 0]
+    turned = np.where(upright[:, None, None], ends[..., ::-1], ends)
+    count = int(np.ceil(run.max())) + 1
+    reach = int(np.ceil(np.sqrt(2) * max(high.max(), -low.min()))) + 1
+    major = np.floor(turned[..., 0].min(axis=1))[:, None] + np.arange(count)
+    slope = (turned[:, 1, 1] - turned[:, 0, 1]) / (turned[:, 1, 0] - turned[:, 0, 0])
+    middle = np.rint(turned[:, :1, 1] + slope[:, None] * (major - turned[:, :1, 0]))
+    minor = middle[:, :, None] + np.arange(-reach, reach + 1)
+    major = np.broadcast_to(major[:, :, None], minor.shape)
+    u = np.where(upright[:, None, None], minor, major)
+    v = np.where(upright[:, None, None], major, minor)
+    # Within the lens's bend of an edge, some 0.01 px, the pixels are chosen as if there were none.
+    (au, av), (pu, pv) = line_direction(ends), ends.mean(axis=1).T
+    x, y = u - pu[:, None, None], v - pv[:, None, None]
+    s = x * au[:, None, None] + y * av[:, None, None]
+    d = x * av[:, None, None] - y * au[:, None, None]
+    use = (d >= low[:, None, None]) & (d <= high[:, None, None])
+    use &= (np.abs(s) <= (line.length / 2 - margin)[:, None, None]) & (u >= 0) & (u < w) & (v >= 0) & (v < h)
+    iu, iv = np.clip(u, 0, w - 1).astype(np.intp), np.clip(v, 0, h - 1).astype(np.intp)
+    values = light[iv, iu]
+    use &= ~_crossed(values, use, d > 0.6 * high[:, None, None], floor)[:, :, None]
+    use &= ~saturated[iv, iu]
+
+    use = use.reshape(len(use), -1)
+    kept = use.sum(axis=1)
+    order = np.argsort(~use, axis=1, kind="stable")[:, : max(int(kept.max()), 1)]
+    u, v, values = (np.take_along_axis(a.reshape(use.shape), order, axis=1) for a in (u, v, values))
+    place = undistort(camera, np.stack([u, v], axis=-1))
+    inside = np.arange(order.shape[1]) < kept[:, None]
+    return _Band(place[..., 0].copy(), place[..., 1].copy(), values.astype(float), inside)
+
+
+def line_direction(ends: Array) -> Array:
+    """Unit vectors from the first to the second of (e, 2, 2) points, (2, e)."""
+    run = ends[:, 1] - ends[:, 0]
+    return (run / np.linalg.norm(run, axis=1, keepdims=True)).T
+
+
+def _crossed(light: NDArray[np.float32], use: Mask, white: Mask, floor: float) -> Mask:
+    """Steps along the edges, (e, count), at which something brighter than the mark's white lies across the edge.
+
+    The white is the median over all four edges of a mark, which a line of light across it does not move.
+    """
+    side = use & white
+    level = _masked_median(_by_mark(light), _by_mark(side))
+    scatter = 1.4826 * _masked_median(np.abs(_by_mark(light) - level[:, None]), _by_mark(side))
+    level, scatter = np.repeat(level, 4)[:, None], OUTLIER_SIGMA * np.repeat(np.sqrt(scatter**2 + floor), 4)[:, None]
+    count = side.sum(axis=2)
+    mean = np.where(side, light, 0.0).sum(axis=2) / np.maximum(count, 1)
+    bright = (use & (light > (level + scatter)[:, :, None])).any(axis=2)
+    bright |= (count > 0) & (mean > level + scatter / np.sqrt(np.maximum(count, 1)))
+    crossed = bright.copy()
+    crossed[:, 1:] |= bright[:, :-1]
+    crossed[:, :-1] |= bright[:, 1:]
+    return crossed
+
+
+def _by_mark(values: NDArray) -> NDArray:
+    return values.reshape(len(values) // 4, -1)
+
+
+def _first_shape(band: _Band, line: _Line) -> Array:
+    """Levels from the pixels that lie clearly on one side; blur one pixel."""
+    _, d = band.coordinates(line)
+    black = _masked_median(band.light, band.use & (d < -1))
+    white = _masked_median(band.light, band.use & (d > 1))
+    shape = np.zeros((len(black), 4))
+    shape[:, _BLACK] = black
+    shape[:, _CONTRAST] = np.maximum(white - black, 1e-3 * np.abs(white) + 1e-6)
+    return shape
+
+
+def _masked_median(values: NDArray, use: Mask) -> Array:
+    """Median of each row's used values; 0 where none is used."""
+    count = use.sum(axis=1)
+    ordered = np.sort(np.where(use, values, np.inf), axis=1)
+    rows = np.arange(len(values))
+    median = (
+        ordered[rows, np.maximum(count - 1, 0) // 2] + ordered[rows, np.minimum(count // 2, len(ordered[0]) - 1)]
+    ) / 2
+    return np.where(count > 0, median, 0.0)
+
+
+def _model(band: _Band, line: _Line, shape: Array, behind: Array) -> tuple[Array, list[Array], Array]:
+    """Model's light, its derivatives by the six parameters, and the step 0 … 1 from black to white."""
+    s, d = band.coordinates(line)
+    black, contrast, slope, log_blur = (shape[:, i, None] for i in range(4))
+    blur = np.exp(log_blur)
+    q = d / blur
+    step = ndtr(q)
+    bell = np.exp(-0.5 * q * q) * (0.3989422804014327 / blur)
+    white = contrast + slope * s
+    gradient = white * bell
+    derivative = [-gradient, -gradient * s, np.ones_like(s), step, step * s, -gradient * d]
+    light = black + white * (step + behind)
+    return light, derivative, step
+
+
+def _behind(band: _Band, edges: Edges, line: _Line, shape: Array) -> Array:
+    """Light of the white cells behind the border, as a fraction of the contrast, where it is more than 1e-4."""
+    s, d = band.coordinates(line)
+    blur = np.exp(shape[:, _BLUR, None])
+    length = line.length[:, None]
+    along = s / length + 0.5
+    depth = edges.depth[:, :1] * (1 - along) + edges.depth[:, 1:] * along
+    q = -(d + depth) / blur
+    out = np.zeros_like(s)
+    e, p = np.nonzero(band.use & (q > -3.7))
+    changes = np.diff(edges.inner.astype(float), axis=1, prepend=0.0)[e]
+    steps = ndtr((along[e, p, None] - np.arange(CELLS) / CELLS) * (length[e] / blur[e]))
+    out[e, p] = ndtr(q[e, p]) * (steps * changes).sum(axis=1)
+    return out
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """What the last Gauss–Newton step left."""
+
+    line: _Line
+    shape: Array
+    covariance: Array
+    variance: Array
+    freedom: Array
+    weight: Array
+
+
+def _iterate(band: _Band, edges: Edges, line: _Line, shape: Array, steps: int) -> _Fitted:
+    """Gauss–Newton steps; ``covariance`` of (offset, tilt) for pixels of unit variance, ``variance`` the residuals'."""
+    shape = shape.copy()
+    for i in range(steps):
+        if i % 3 == 0:
+            behind = _behind(band, edges, line, shape)
+        light, derivative, step = _model(band, line, shape, behind)
+        residual = band.light - light
+        weight = _weights(residual, band.use, band.use & (np.abs(step - 0.5) < 0.45))
+        columns = np.stack([*derivative, residual], axis=1)
+        product = (columns[:, :_PARAMETERS] * weight[:, None]) @ columns.transpose(0, 2, 1)
+        normal, right = product[..., :_PARAMETERS], product[..., _PARAMETERS]
+        size = np.sqrt(np.einsum("eii->ei", normal)) + 1e-30
+        normal = normal / (size[:, :, None] * size[:, None, :])
+        # A blur that the pixels hardly determine must not run away: its log is held with 30 % per step.
+        inverse = np.linalg.inv(normal + 1e-9 * np.eye(_PARAMETERS))
+        change = np.einsum("eij,ej->ei", inverse, right / size) / size
+        covariance = inverse[:, :2, :2] / (size[:, :2, None] * size[:, None, :2])
+        freedom = np.maximum(weight.sum(axis=1) - _PARAMETERS, 1)
+        variance = (weight * residual**2).sum(axis=1) / freedom
+        line = line.moved(np.clip(change[:, 0], -1, 1), np.clip(change[:, 1], -2 / line.length, 2 / line.length))
+        shape[:, :3] += change[:, 2:5]
+        shape[:, _BLUR] = np.clip(shape[:, _BLUR] + np.clip(change[:, 5], -0.3, 0.3), np.log(0.25), np.log(8.0))
+    return _Fitted(line, shape, covariance, variance, freedom, weight)
+
+
+def _weights(residual: Array, use: Mask, near: Mask) -> Array:
+    """1, or 0 where a pixel stands out; all pixels alike otherwise.
+
+    Weights that follow the noise, or a biweight, would treat the black and the white side of the step differently, and
+    every misfit of its shape, which is antisymmetric, would then move the edge (0.004 px on photographs of other code).
+    """
+    scatter = 1.4826 * _masked_median(np.abs(residual), near)[:, None]
+    return np.where(use & (np.abs(residual) <= np.maximum(OUTLIER_SIGMA * scatter, 1e-6)), 1.0, 0.0)
+
+
+def _used(band: _Band, line: _Line, shape: Array, weight: Array, margin: Array) -> Array:
+    """Weight within 1.5 blurs of the line, as a fraction of the pixels (one per px²) that belong there."""
+    _, d = band.coordinates(line)
+    reach = 1.5 * np.exp(shape[:, _BLUR])
+    near = np.abs(d) < reach[:, None]
+    return (weight * near).sum(axis=1) / (2 * reach * (line.length - 2 * margin))

@@ -1,0 +1,270 @@
+"""Read a photograph: counts to light, linear in radiance, with what is saturated and which channel was taken.
+
+Colour pictures: the board is lit by white room light and by a red laser, so one channel may be saturated by the
+laser while another hardly sees it. The channel is chosen by the picture: the one that holds most information on
+the place of what is wanted, that is the largest sum of squared brightness steps in units of its noise, saturated
+pixels left out. Trace and marks may get different channels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.model import Camera
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+FALSE_ALARM_SIGMA = 5.0
+"""Steps above this many sigma of the noise count as structure: of 3 million pixels noise alone raises one or two."""
+
+JPEG_COUNTS = 3.0
+"""A saturated pixel may come back from JPEG this many counts lower (rounded coefficients, quality 85 and better)."""
+
+_CHANNELS = ("blue", "green", "red")
+_SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """Light of one picture, rows by columns.
+
+    Attributes
+    ----------
+    name : str
+        File name, for messages.
+    light : (h, w) float32
+        Proportional to radiance, 0 where the black level is, in counts of a sensor without gamma: saturation is
+        at ``saturation_level - black_level``. Noise below black stays negative.
+    saturated : (h, w) bool
+        At or above the camera's saturation level.
+    light_per_count : (h, w) or () float32
+        d(light)/d(count): one count of quantisation, in units of ``light``.
+    linear : bool
+        False where the camera's gamma is unknown: ``light`` is then monotonic in radiance only; do not use flux,
+        width or anything else that adds light up.
+    lossy : bool
+        JPEG: errors of neighbouring pixels are correlated over its 8 × 8 blocks.
+    channel, marks_channel : str
+        "mono", "red", "green" or "blue": where ``light`` and ``marks_light`` come from.
+    marks_light, marks_saturated : (h, w)
+        The same for the board's marks; the same arrays in a mono picture.
+    """
+
+    name: str
+    light: Image
+    saturated: Mask
+    light_per_count: Image
+    linear: bool
+    lossy: bool
+    channel: str
+    marks_channel: str
+    marks_light: Image
+    marks_saturated: Mask
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows, columns."""
+        return self.light.shape[0], self.light.shape[1]
+
+
+def read_image(path: str | Path, camera: Camera, *, dark: bool = False, channel: str | None = None) -> Photograph:
+    """Read a PNG, TIFF or JPEG, 8 or 16 bit, mono or colour, and undo the camera's black level and gamma.
+
+    Parameters
+    ----------
+    path : path
+    camera : Camera
+        Resolution and bit depth are checked against the file; ``gamma`` "unknown" is read as 1 and said in
+        ``linear``.
+    dark : bool
+        A picture with the laser off: it may be black.
+    channel : str, optional
+        Take ``light`` from this channel of a colour picture ("red", "green", "blue"); give a dark picture the
+        channel of its photograph. Default: chosen by the picture.
+
+    Returns
+    -------
+    Photograph
+
+    Raises
+    ------
+    BenchsimError
+        One sentence with the image's name: missing, not an image, truncated, other resolution or bit depth than the
+        recording's, black (nothing stands above its noise), saturated over more than half its area.
+
+    Notes
+    -----
+    EXIF orientation is not applied: pixels are those of the sensor, as the camera's calibration means them.
+    """
+    path = Path(path)
+    counts, lossy = _decode(path)
+    _check_format(path.name, counts, camera)
+    level = camera.saturation_level - (JPEG_COUNTS if lossy else 0.0)
+    if counts.ndim == 2 or counts.shape[2] < 3:
+        planes = {"mono": counts if counts.ndim == 2 else counts[..., 0]}
+    else:
+        planes = {name: counts[..., i] for i, name in enumerate(_CHANNELS)}
+        if all(np.array_equal(planes["green"], planes[c]) for c in ("blue", "red")):
+            planes = {"mono": planes["green"]}
+    light = {name: _linear(plane, camera) for name, plane in planes.items()}
+    saturated = {name: plane >= level for name, plane in planes.items()}
+    best, for_marks = _choose(light, saturated)
+    if channel is not None and channel in light:
+        best = channel
+    if not dark:
+        _check_content(path.name, light[for_marks], light[best], saturated[for_marks])
+    return Photograph(
+        name=path.name,
+        light=light[best],
+        saturated=saturated[best],
+        light_per_count=_light_per_count(planes[best], camera),
+        linear=camera.gamma != "unknown",
+        lossy=lossy,
+        channel=best,
+        marks_channel=for_marks,
+        marks_light=light[for_marks],
+        marks_saturated=saturated[for_marks],
+    )
+
+
+def _decode(path: Path) -> tuple[NDArray, bool]:
+    """Counts as they stand in the file, and whether it is a JPEG."""
+    if not path.exists():
+        raise BenchsimError(f"{path.name}: not there (looked in {path.parent}); add the image or mend its name")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BenchsimError(f"{path.name}: cannot be read ({error.strerror}); check its permissions") from None
+    if not data:
+        raise BenchsimError(f"{path.name}: an empty file; copy the image again")
+    if not data.startswith(_SIGNATURES):
+        raise BenchsimError(f"{path.name}: not an image; give a PNG, TIFF or JPEG")
+    lossy = data.startswith(b"\xff\xd8\xff")
+    # Decoders differ in whether a truncated file is an error or a grey remainder; the end marks tell.
+    whole = (b"\xff\xd9" in data[-65536:]) if lossy else (b"IEND" in data[-4096:]) if data[0] == 0x89 else True
+    counts = None
+    if whole:
+        logging = cv2.utils.logging
+        previous = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+        try:
+            counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            counts = None
+        finally:
+            logging.setLogLevel(previous)
+    if counts is None:
+        raise BenchsimError(f"{path.name}: truncated or damaged; copy the image again")
+    return counts, lossy
+
+
+def _check_format(name: str, counts: NDArray, camera: Camera) -> None:
+    h, w = counts.shape[:2]
+    if (w, h) != camera.resolution:
+        stated = f"{camera.resolution[0]} × {camera.resolution[1]}"
+        raise BenchsimError(
+            f"{name}: {w} × {h} pixels, but camera {camera.name} has resolution_px {stated}; mend the key (and the "
+            "calibration with it) or give the picture as the camera took it"
+        )
+    bits = {"uint8": 8, "uint16": 16}.get(str(counts.dtype))
+    if bits is None:
+        raise BenchsimError(f"{name}: pixels are {counts.dtype}; save the picture with 8 or 16 bit")
+    if bits != camera.bit_depth:
+        raise BenchsimError(
+            f"{name}: {bits} bit a pixel, but camera {camera.name} has bit_depth = {camera.bit_depth}; mend the key"
+        )
+
+
+def _linear(counts: NDArray, camera: Camera) -> Image:
+    """Light ∝ radiance; odd about black, so that noise below black stays noise."""
+    above = counts.astype(np.float32)
+    if camera.black_level:
+        above -= np.float32(camera.black_level)
+    gamma = camera.gamma
+    if gamma in (1.0, "unknown"):
+        return above
+    full = np.float32(camera.saturation_level - camera.black_level)
+    x = np.abs(above) / full
+    if gamma == "srgb":
+        # IEC 61966-2-1: linear toe, then a power of 2.4.
+        y = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+    else:
+        y = x ** np.float32(gamma)
+    return np.copysign(y * full, above).astype(np.float32)
+
+
+def _light_per_count(counts: NDArray, camera: Camera) -> Image:
+    gamma = camera.gamma
+    if gamma in (1.0, "unknown"):
+        return np.ones((), np.float32)
+    full = camera.saturation_level - camera.black_level
+    # Half a count above black: a power's slope vanishes or diverges at black itself.
+    x = np.maximum(np.abs(counts.astype(np.float32) - np.float32(camera.black_level)), 0.5) / np.float32(full)
+    if gamma == "srgb":
+        slope = np.where(x <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((x + 0.055) / 1.055) ** 1.4)
+    else:
+        slope = float(gamma) * x ** np.float32(float(gamma) - 1)
+    return slope.astype(np.float32)
+
+
+def _steps(light: Image) -> Image:
+    """Differences along the rows, every fourth row: enough to judge a channel by."""
+    return np.diff(light[::4], axis=1)
+
+
+def _noise(steps: Image) -> float:
+    """Sigma of a difference of neighbours, from its median: structure covers less than half of a picture."""
+    return max(float(np.median(np.abs(steps))) / 0.6745, 0.5)
+
+
+def _choose(light: dict[str, Image], saturated: dict[str, Mask]) -> tuple[str, str]:
+    """Channel for the trace and channel for the marks."""
+    if len(light) == 1:
+        only = next(iter(light))
+        return only, only
+    # Room light has one colour all over the board; what no channel needs for it is the laser's.
+    total = sum(light.values())
+    bright = total > total.mean()  # type: ignore[union-attr]
+    white = {c: max(float(np.median(x[bright])), 1.0) for c, x in light.items()}
+    room = np.minimum.reduce([x / white[c] for c, x in light.items()])
+    laser = {c: x - white[c] * room for c, x in light.items()}
+    noise = {c: _noise(_steps(x)) for c, x in light.items()}
+    lit = np.any([x[::4] > FALSE_ALARM_SIGMA * _noise(_steps(x)) for x in laser.values()], axis=0)
+    lit = lit[:, 1:] | lit[:, :-1]
+    for_trace, for_marks = {}, {}
+    for c in light:
+        clipped = saturated[c][::4]
+        good = ~(clipped[:, 1:] | clipped[:, :-1])
+        for_trace[c] = _information(_steps(laser[c]), noise[c], good & lit)
+        for_marks[c] = _information(_steps(light[c]), noise[c], good & ~lit)
+    marks = max(for_marks, key=for_marks.__getitem__)
+    trace = max(for_trace, key=for_trace.__getitem__)
+    return (trace if for_trace[trace] > 0 else marks), marks
+
+
+def _information(steps: Image, noise: float, use: Mask) -> float:
+    strong = use & (np.abs(steps) > FALSE_ALARM_SIGMA * noise)
+    return float((steps[strong].astype(float) ** 2).sum()) / noise**2
+
+
+def _check_content(name: str, marks: Image, trace: Image, saturated: Mask) -> None:
+    if saturated.mean() > 0.5:
+        raise BenchsimError(
+            f"{name}: {100 * saturated.mean():.0f} % of the picture is saturated; expose shorter, or mend "
+            "saturation_level"
+        )
+    for light in (marks, trace):
+        part = light[::4, ::2]
+        noise = _noise(_steps(light)) / np.sqrt(2)
+        if float(np.quantile(part, 0.999)) - float(np.median(part)) > FALSE_ALARM_SIGMA * noise:
+            return
+        if float(np.median(part)) - float(np.quantile(part, 0.001)) > FALSE_ALARM_SIGMA * noise:
+            return
+    level = "black" if float(np.median(trace)) <= FALSE_ALARM_SIGMA * noise else "uniform"
+    raise BenchsimError(f"{name}: the picture is {level}, nothing stands above its noise; check exposure and lens cap")

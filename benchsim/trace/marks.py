@@ -1,0 +1,273 @@
+"""Find the board's marks in a photograph and measure their corners.
+
+OpenCV finds and reads the AprilTags 36h11; the corners come from lines fitted to the four edges of the black square
+(`edges`), because a detector's own corners are ten times coarser.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.model import Camera, Marks
+from benchsim.trace.edges import CELLS, OUTLIER_SIGMA, EdgeFit, Edges, fit_edges
+from benchsim.trace.image import Photograph
+from benchsim.trace.lens import distort, distortion_jacobian, undistort
+
+Array = NDArray[np.float64]
+
+FEWEST_MARKS = 3
+"""One mark determines a pose (8 numbers, 6 unknowns) but says nothing of its errors; of two that contradict each other
+none can be told to be the wrong one; of three, two outvote the third."""
+
+SMALLEST_SIDE = 10
+"""Marks smaller than this are not read [px]: a cell would be 1.25 px."""
+
+BRACKET = 4.0
+"""Ratio of successive white levels under which marks are looked for, from the brightest pixel down to the noise."""
+
+COARSE_SIGMA = 1.5
+"""Error of the detector's own corners, each coordinate [px]: 0.5 to 1 px rms on photographs of other code."""
+
+_DICTIONARY = cv2.aruco.DICT_APRILTAG_36h11
+
+
+@dataclass(frozen=True)
+class MarkObservations:
+    """Marks as they stand in one photograph.
+
+    Attributes
+    ----------
+    name : str
+        The image, for messages.
+    ids : (n,) int
+    corners : (n, 4, 2) px
+        Of the black square: top left as seen upright from the mirror's side (y small, z large), then clockwise.
+        Pixels of the photograph, distortion included.
+    covariance : (n, 4, 2, 2) px²
+        Of each corner. Corners of one mark share edges: use ``joint`` where they are used together.
+    joint : (n, 8, 8) px²
+        Of the eight coordinates of each mark, in the order of ``corners.reshape(n, 8)``.
+    board : (n, 4, 2) mm
+        Nominal (y, z) of the corners.
+    measured : (n, 4) bool
+        False for a corner next to an edge that is covered or saturated: it stands where the detector saw it, and its
+        covariance says so.
+    blur : (n,) px
+        Standard deviation of the picture's blur at each mark, the pixel's own width included.
+    unknown : tuple of int
+        Ids that were read but are not in the board's list.
+    dropped : tuple of (int, str)
+        Ids that were found but are not used, and why.
+    """
+
+    name: str
+    ids: NDArray[np.intp]
+    corners: Array
+    covariance: Array
+    joint: Array
+    board: Array
+    measured: NDArray[np.bool_]
+    blur: Array
+    unknown: tuple[int, ...] = ()
+    dropped: tuple[tuple[int, str], ...] = ()
+
+
+def board_corners(marks: Marks) -> Array:
+    """Nominal corners (y, z) of every mark, (n, 4, 2) mm: top left, then clockwise, seen from the mirror's side."""
+    centres = np.asarray(marks.centres, float).reshape(-1, 1, 2)
+    half = np.asarray(marks.sides, float)[:, None, None] / 2
+    return centres + half * np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
+
+
+def find_marks(photograph: Photograph, marks: Marks | None, camera: Camera) -> MarkObservations:
+    """Find all marks of the board and measure their corners.
+
+    Parameters
+    ----------
+    photograph : Photograph
+    marks : Marks
+        The board's list; other ids are reported, not used.
+    camera : Camera
+        Its distortion is used: edges are straight only where it is undone.
+
+    Returns
+    -------
+    MarkObservations
+
+    Raises
+    ------
+    BenchsimError
+        No marks, or fewer than three that can be used; names the image and the mend.
+
+    Notes
+    -----
+    Corners are unbiased under any symmetric blur. A line of light across a mark is left out; an edge that is more
+    than half covered is not measured, and a mark with fewer than two measured edges is dropped. Where gamma is not
+    known the black squares come out too small or too large, all alike, which moves the camera along its line of
+    sight but hardly the board under the marks.
+    """
+    if marks is None or not marks.ids:
+        raise BenchsimError(f"{photograph.name}: the recording lists no marks to look for; add screen.marks")
+    found, twice = _detect(photograph, set(marks.ids))
+    known = [i for i in found if i in marks.ids]
+    unknown = tuple(sorted(set(found) - set(marks.ids)))
+    dropped = [(i, "two marks carry this id") for i in sorted(twice)]
+    if not known:
+        other = f"; the ids {', '.join(map(str, unknown))} in it are not the board's" if unknown else ""
+        raise BenchsimError(
+            f"{photograph.name}: none of the board's marks found{other}; check that it shows the board, in focus, "
+            f"not mirrored and not overexposed, and that screen.marks lists its marks"
+        )
+    measured = _measure(photograph, camera, np.array(known), np.array([found[i] for i in known]))
+    good = np.array([reason == "" for reason in measured.reasons])
+    dropped += [(i, reason) for i, reason in zip(known, measured.reasons, strict=True) if reason]
+    if good.sum() < FEWEST_MARKS:
+        why = "; ".join(f"{i}: {reason}" for i, reason in dropped)
+        raise BenchsimError(
+            f"{photograph.name}: {good.sum()} of the board's {len(marks.ids)} marks can be used and {FEWEST_MARKS} are "
+            f"needed{f' ({why})' if why else ''}; show more of the board, sharper or larger"
+        )
+    ids = np.array(known)[good]
+    joint = measured.joint[good]
+    blocks = joint.reshape(-1, 4, 2, 4, 2)
+    index = [marks.ids.index(i) for i in ids]
+    return MarkObservations(
+        name=photograph.name,
+        ids=ids,
+        corners=measured.corners[good],
+        covariance=np.stack([blocks[:, k, :, k] for k in range(4)], axis=1),
+        joint=joint,
+        board=board_corners(marks)[index],
+        measured=measured.measured[good],
+        blur=measured.blur[good],
+        unknown=unknown,
+        dropped=tuple(dropped),
+    )
+
+
+def _detect(photograph: Photograph, wanted: set[int]) -> tuple[dict[int, Array], set[int]]:
+    """Coarse corners by id, and ids seen twice; several exposures of the 8-bit picture the detector needs."""
+    light = photograph.marks_light
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.minMarkerPerimeterRate = 4 * SMALLEST_SIDE / max(light.shape)
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(_DICTIONARY), parameters)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(light[::8], axis=1))))
+    white, darkest = float(light.max()), max(4 * noise, 1.0)
+    found: dict[int, Array] = {}
+    twice: set[int] = set()
+    while white > darkest and not wanted <= found.keys():
+        corners, ids, _ = detector.detectMarkers(cv2.convertScaleAbs(np.maximum(light, 0), alpha=255 / white))
+        seen = [] if ids is None else [int(i) for i in ids.ravel()]
+        twice |= {i for i in seen if seen.count(i) > 1}
+        for i, quad in zip(seen, corners, strict=True):
+            found.setdefault(i, np.asarray(quad, float).reshape(4, 2))
+        white /= BRACKET
+    return {i: quad for i, quad in sorted(found.items()) if i not in twice}, twice & wanted
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Corners (n, 4, 2), their joint covariance (n, 8, 8), which are measured (n, 4), blur (n,), and why a mark cannot
+    be used ("" if it can)."""
+
+    corners: Array
+    joint: Array
+    measured: NDArray[np.bool_]
+    blur: Array
+    reasons: list[str]
+
+
+def _measure(photograph: Photograph, camera: Camera, ids: NDArray[np.intp], coarse: Array) -> _Measured:
+    n = len(ids)
+    quad = undistort(camera, coarse)
+    start, end = quad.reshape(-1, 2), np.roll(quad, -1, axis=1).reshape(-1, 2)
+    across = end - start
+    normal = np.stack([across[:, 1], -across[:, 0]], axis=1) / np.linalg.norm(across, axis=1, keepdims=True)
+    behind = [np.roll(quad, shift, axis=1).reshape(-1, 2) for shift in (1, -2)]
+    depth = np.stack([-((p - start) * normal).sum(axis=1) for p in behind], axis=1) / CELLS
+    dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARY)
+    white = [cv2.aruco.generateImageMarker(dictionary, int(i), CELLS, borderBits=1) > 0 for i in ids]
+    inner = np.array([np.rot90(cells, k)[1] for cells in white for k in range(4)])
+    quantum = float(np.max(photograph.light_per_count)) ** 2 / 12
+    fit = fit_edges(
+        photograph.marks_light, photograph.marks_saturated, camera, Edges(start, end, depth, inner), quantum
+    )
+    good = _good_edges(fit)
+    ideal, joint = _intersect(_with_coarse(fit, start, end, good), n)
+    jacobian = np.zeros((n, 8, 8))
+    local = distortion_jacobian(camera, ideal)
+    for k in range(4):
+        jacobian[:, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = local[:, k]
+    joint = jacobian @ joint @ jacobian.transpose(0, 2, 1)
+    corners = distort(camera, ideal)
+    by_mark = good.reshape(n, 4)
+    measured = by_mark & np.roll(by_mark, 1, axis=1)
+    reasons = _reasons(by_mark, corners, coarse, photograph)
+    return _Measured(corners, joint, measured, np.median(fit.blur.reshape(n, 4), axis=1), reasons)
+
+
+def _good_edges(fit: EdgeFit) -> NDArray[np.bool_]:
+    """Edges that were seen over half their length, dark inside, and no rougher than the picture's others."""
+    rough = fit.scatter > OUTLIER_SIGMA * np.median(fit.scatter)
+    found = np.isfinite(fit.covariance).all(axis=(1, 2)) & np.isfinite(fit.point).all(axis=1)
+    return found & (fit.used >= 0.5) & (fit.contrast > 0) & ~rough
+
+
+def _with_coarse(fit: EdgeFit, start: Array, end: Array, good: NDArray[np.bool_]) -> EdgeFit:
+    """Edges that could not be measured lie where the detector saw them, with its own coarse error."""
+    run = end - start
+    length = np.linalg.norm(run, axis=1)
+    along = np.where(good[:, None], fit.along, run / length[:, None])
+    coarse = np.zeros_like(fit.covariance)
+    coarse[:, 0, 0] = COARSE_SIGMA**2 / 2
+    coarse[:, 1, 1] = 2 * (COARSE_SIGMA / length) ** 2
+    return replace(
+        fit,
+        point=np.where(good[:, None], fit.point, (start + end) / 2),
+        along=along,
+        normal=np.stack([along[:, 1], -along[:, 0]], axis=1),
+        covariance=np.where(good[:, None, None], fit.covariance, coarse),
+    )
+
+
+def _intersect(fit: EdgeFit, n: int) -> tuple[Array, Array]:
+    """Corners from lines, undistorted pixels, with the covariance of all eight coordinates."""
+    normal, along, point = (x.reshape(n, 4, 2) for x in (fit.normal, fit.along, fit.point))
+    place = (normal * point).sum(axis=-1)
+    corners = np.zeros((n, 4, 2))
+    jacobian = np.zeros((n, 8, 8))
+    for k in range(4):
+        pair = [k - 1, k] if k else [3, 0]
+        inverse = np.linalg.inv(normal[:, pair])
+        corners[:, k] = np.einsum("nij,nj->ni", inverse, place[:, pair])
+        for column, e in enumerate(pair):
+            s = ((corners[:, k] - point[:, e]) * along[:, e]).sum(axis=-1)
+            jacobian[:, 2 * k : 2 * k + 2, 2 * e] = inverse[:, :, column]
+            jacobian[:, 2 * k : 2 * k + 2, 2 * e + 1] = inverse[:, :, column] * s[:, None]
+    edges = np.zeros((n, 8, 8))
+    for e in range(4):
+        edges[:, 2 * e : 2 * e + 2, 2 * e : 2 * e + 2] = fit.covariance.reshape(n, 4, 2, 2)[:, e]
+    return corners, jacobian @ edges @ jacobian.transpose(0, 2, 1)
+
+
+def _reasons(good: NDArray[np.bool_], corners: Array, coarse: Array, photograph: Photograph) -> list[str]:
+    side = np.linalg.norm(np.roll(coarse, -1, axis=1) - coarse, axis=-1).min(axis=1)
+    moved = np.linalg.norm(corners - coarse, axis=-1).max(axis=1)
+    h, w = photograph.shape
+    outside = ((corners < 1) | (corners > np.array([w - 2, h - 2]))).any(axis=(1, 2))
+    reasons = []
+    for i in range(len(corners)):
+        if outside[i]:
+            reasons.append("at the picture's border")
+        elif good[i].sum() < 2:
+            reasons.append("covered or saturated")
+        elif moved[i] > max(2 * COARSE_SIGMA, side[i] / CELLS):
+            reasons.append("its edges cannot be followed")
+        else:
+            reasons.append("")
+    return reasons
