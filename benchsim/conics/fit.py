@@ -14,7 +14,7 @@ Why not something simpler. *Algebraic least squares* (the smallest singular vect
 own |∇f|; shrinking the curve shrinks the sum, and on this bench's arcs (depth 7.5 mm on 650 mm) it collapses to a tight
 ellipse or line pair. *Direct fits with a constraint on the kind* (A C − B²/4 = ∓1; Fitzgibbon 1999; O'Leary and
 Zsombor-Murray 2004) minimise the same algebraic sum under a normalisation that biases them to flat ellipses or wide
-hyperbolas with a small *scatter*: e = 12.3 ± 0.2 where the truth is 1.8 and the data say ± 49 %. The tests show both.
+hyperbolas with a small *scatter*: on Fig. 7a e = 10.6 ± 0.1 for 1.82, which the data know to ± 0.5; the tests show it.
 
 When not to use it: on a polygon's or a distorted trace to *judge a model*. A free conic absorbs almost every effect of
 the bench; its residuals say nothing about them. Outliers: one point off by k sigma moves the curve by about

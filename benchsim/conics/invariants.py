@@ -8,7 +8,8 @@ is on the ball |z| ≤ √χ²₁(p) (Student's t where sigma was estimated): it
 from many starts, all quantities at once. It does not depend on how the conic is parametrised.
 
 Quantities that pass through infinity at a parabola are searched as smooth reciprocals: 1/a with the sign of A C − B²/4,
-1/b² likewise. Their intervals are then half-open: at least 3 m, no upper bound.
+1/b² likewise. Their intervals are then half-open: at least 3 m, no upper bound. Where the circle, at which the axis
+turns anyhow, lies within the region (two conditions: of χ²₂(p)), e reaches down to 0 and axis and vertex are unbounded.
 
 When it fails: on arcs hardly deeper than their noise the ball reaches conics of another topology (line pairs, the
 other branch); quantities that do not exist all over the ball are reported as unbounded. Where a quantity has a
@@ -82,7 +83,7 @@ class Fitted(Protocol):
 
 # columns of _quantities; the names of the finite ones are the invariants' own
 _COLUMNS = (
-    "discriminant", "inverse_a", "inverse_b2", "eccentricity", "semi_latus_rectum_mm", "centre_y_mm", "centre_z_mm",
+    "discriminant", "inverse_a", "inverse_b2", "eccentricity^4", "semi_latus_rectum_mm", "centre_y_mm", "centre_z_mm",
     "near_focus_y_mm", "near_focus_z_mm", "far_focus_y_mm", "far_focus_z_mm", "vertex_y_mm", "vertex_z_mm",
     "axis_angle_rad", "curvature",
 )  # fmt: skip
@@ -122,63 +123,93 @@ def _quantities(
         inverse_a = sign / (length * g.semi_axes[..., 0])
         inverse_b2 = sign / (length * g.semi_axes[..., 1]) ** 2
     places = [length * p[..., i] + origin[i] for p in (g.centre, near_focus, far_focus, vertex) for i in (0, 1)]
-    return np.stack(
-        [delta, inverse_a, inverse_b2, g.eccentricity, length * g.semi_latus_rectum, *places, angle, curvature], axis=-1
-    )
+    latus = length * g.semi_latus_rectum
+    return np.stack([delta, inverse_a, inverse_b2, g.eccentricity**4, latus, *places, angle, curvature], axis=-1)
+
+
+def _best_in_ball(gradient: Array, hessian: Array, at: Array, radius: float) -> Array:
+    """Where quadratic models (m) have their largest value in |x| ≤ radius: x = (ν − H)⁻¹ (g − H z), ν by bisection."""
+    values, vectors = np.linalg.eigh(hessian)
+    linear = np.einsum("mji,mj->mi", vectors, gradient - np.einsum("mij,mj->mi", hessian, at))
+    low = np.maximum(values[:, -1], 0.0)
+    high = low + np.linalg.norm(linear, axis=1) / radius + 1e-300
+
+    def solve(nu: Array) -> Array:
+        gap = nu[:, None] - values
+        return np.asarray(linear / np.where(gap > 0, gap, 1e-300))
+
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(60):
+            nu = (low + high) / 2
+            out = np.linalg.norm(solve(nu), axis=1) > radius
+            low, high = np.where(out, nu, low), np.where(out, high, nu)
+        x = np.einsum("mij,mj->mi", vectors, solve(high))
+    return np.where(np.isfinite(x), x, at)
 
 
 def _ball_extremes(
-    function: Callable[[Array], Array], dimension: int, radius: float, rounds: int = 40
+    function: Callable[[Array], Array], dimension: int, radius: float, starts: Array, rounds: int = 25
 ) -> tuple[Array, Array, Array]:
     """Least and largest value of every column of ``function`` (m, dimension) → (m, q) on a ball, and if all is finite.
 
-    Starts: the centre, the axes and 400 points of a seeded normal draw, half of them on the sphere. Ascent: along the
-    gradient in steps of 1, 1/4, 1/16, 1/64 radii, cut back to the ball, the best kept.
+    From ``starts``, the centre, the axes and 400 seeded points, each end of each column climbs by Newton steps on its
+    quadratic model in the ball, and along its gradient where that fails. Every end takes over the best point that
+    any other has met.
     """
     rng = np.random.default_rng(20190101)
     z = rng.normal(size=(400, dimension))
     z *= radius / np.linalg.norm(z, axis=1, keepdims=True)
     z[200:] *= rng.uniform(size=(200, 1)) ** (1 / dimension)
-    z = np.vstack([np.zeros((1, dimension)), radius * np.eye(dimension), -radius * np.eye(dimension), z])
+    eye = np.eye(dimension)
+    z = np.vstack([np.zeros((1, dimension)), radius * eye, -radius * eye, z, starts])
     values = function(z)
     everywhere = np.all(np.isfinite(values), axis=0)
     q = values.shape[1]
-    target = np.tile(np.arange(q), 2)
-    sense = np.repeat([-1.0, 1.0], q)
-    with np.errstate(invalid="ignore"):
-        score = np.where(np.isfinite(values), values, np.nan)[:, target] * sense
-    score = np.where(np.isnan(score), -np.inf, score)
-    index = np.argmax(score, axis=0)
-    at, best = z[index], score[index, np.arange(2 * q)]
-    h = 1e-4 * radius
-    offsets = h * np.vstack([np.eye(dimension), -np.eye(dimension)])
-    steps = radius * 4.0 ** -np.arange(0, 5)
-    live = np.ones(2 * q, bool)
+    target, sense = np.tile(np.arange(q), 2), np.repeat([-1.0, 1.0], q)
+    at, best = np.zeros((2 * q, dimension)), np.full(2 * q, -np.inf)
+
+    def take_over(points: Array, got: Array) -> Array:
+        score = np.where(np.isfinite(got), got, np.nan)[:, target] * sense
+        score = np.where(np.isnan(score), -np.inf, score)
+        index = np.argmax(score, axis=0)
+        new = score[index, np.arange(2 * q)]
+        better = new > best
+        with np.errstate(invalid="ignore"):
+            gain = np.where(better, new - best, 0.0)
+        at[better], best[better] = points[index[better]], new[better]
+        return np.asarray(gain)
+
+    take_over(z, values)
+    h = 1e-3 * radius
+    i, j = np.triu_indices(dimension, 1)
+    around = h * np.vstack([np.zeros((1, dimension)), eye, -eye, eye[i] + eye[j], -eye[i] - eye[j]])
+    shrink = 4.0 ** -np.arange(5)
+    live = np.isfinite(best)
     for _ in range(rounds):
         rows = np.flatnonzero(live)
         if not len(rows):
             break
         m = len(rows)
-        around = function((at[rows, None, :] + offsets).reshape(-1, dimension)).reshape(m, 2 * dimension, q)
-        around = np.take_along_axis(around, target[rows, None, None], axis=2)[..., 0]
-        gradient = sense[rows, None] * (around[:, :dimension] - around[:, dimension:])
-        gradient = np.where(np.isfinite(gradient), gradient, 0.0)
+        f = function((at[rows, None, :] + around).reshape(-1, dimension)).reshape(m, len(around), q)
+        f = sense[rows, None] * np.take_along_axis(f, target[rows, None, None], axis=2)[..., 0]
+        f = np.where(np.isfinite(f), f, best[rows, None])
+        up, down = f[:, 1 : dimension + 1], f[:, dimension + 1 : 2 * dimension + 1]
+        mixed = f[:, 2 * dimension + 1 :]
+        gradient = (up - down) / (2 * h)
+        hessian = np.zeros((m, dimension, dimension))
+        hessian[:, np.arange(dimension), np.arange(dimension)] = (up + down - 2 * f[:, :1]) / h**2
+        cross = (
+            mixed[:, : len(i)] + mixed[:, len(i) :] + 2 * f[:, :1] - up[:, i] - down[:, i] - up[:, j] - down[:, j]
+        ) / (2 * h**2)
+        hessian[:, i, j] = hessian[:, j, i] = cross
+        newton = _best_in_ball(gradient, hessian, at[rows], radius) - at[rows]
         length = np.linalg.norm(gradient, axis=1, keepdims=True)
-        unit = gradient / np.where(length > 0, length, 1.0)
-        trial = at[rows, None, :] + steps[:, None] * unit[:, None, :]
+        steepest = radius * gradient / np.where(length > 0, length, 1.0)
+        trial = np.concatenate([at[rows] + t * d for t in shrink for d in (newton, steepest)])
         norm = np.linalg.norm(trial, axis=-1, keepdims=True)
         trial = np.where(norm > radius, trial * (radius / np.maximum(norm, 1e-300)), trial)
-        got = function(trial.reshape(-1, dimension)).reshape(m, len(steps), q)
-        got = sense[rows, None] * np.take_along_axis(got, target[rows, None, None], axis=2)[..., 0]
-        got = np.where(np.isfinite(got), got, -np.inf)
-        pick = np.argmax(got, axis=1)
-        new = got[np.arange(m), pick]
-        better = new > best[rows]
-        with np.errstate(invalid="ignore"):
-            gain = np.where(better, new - best[rows], 0.0)
-        at[rows[better]] = trial[np.arange(m), pick][better]
-        best[rows[better]] = new[better]
-        live[rows] = gain > 1e-7 * np.abs(best[rows])
+        gain = take_over(trial, function(trial))
+        live = gain > 1e-7 * np.abs(best)
     return -best[:q], best[q:], everywhere
 
 
@@ -232,10 +263,22 @@ def invariants(fitted: Fitted, level: float = 0.95) -> dict[str, Invariant]:
     def function(z: Array) -> Array:
         return _quantities(best + z @ root.T, to_local, origin, length, direction, middle)
 
-    low, high, finite = _ball_extremes(function, int(keep.sum()), radius)
+    # the circle nearest to the fit: B = 0 and A = C are linear in the coefficients
+    round_ = to_local[[0, 1]] - np.stack([to_local[2], np.zeros(6)])
+    to_circle = -np.linalg.pinv(round_ @ root) @ (round_ @ best)
+    circle = float(np.linalg.norm(to_circle))
+    low, high, finite = _ball_extremes(function, int(keep.sum()), radius, min(1.0, radius / circle) * to_circle[None])
     low = np.where(finite, low, -np.inf)
     high = np.where(finite, high, np.inf)
     lows, highs = dict(zip(_COLUMNS, low.tolist(), strict=True)), dict(zip(_COLUMNS, high.tolist(), strict=True))
+    for table in (value, lows, highs):
+        table["eccentricity"] = max(table["eccentricity^4"], 0.0) ** 0.25
+
+    # a circle is two conditions at once, so it lies in a region of two degrees of freedom; it has no axis
+    two = 2 * stats.f.ppf(level, 2, fitted.dof) if fitted.sigma_estimated else stats.chi2.ppf(level, 2)
+    circular = circle**2 <= two
+    if circular:
+        lows["eccentricity"] = 0.0
 
     out: dict[str, Invariant] = {}
     one_kind = (
@@ -260,11 +303,12 @@ def invariants(fitted: Fitted, level: float = 0.95) -> dict[str, Invariant]:
     for place in ("centre", "near_focus", "far_focus", "vertex"):
         both = np.array([value[f"{place}_y_mm"], value[f"{place}_z_mm"]])
         distance = max(float(np.linalg.norm(both - origin)), length)
-        at_infinity = not kind_known and place in ("centre", "far_focus")
+        nowhere = (not kind_known and place in ("centre", "far_focus")) or (circular and place == "vertex")
         for axis in "yz":
             key = f"{place}_{axis}_mm"
-            add(key, value[key], (None, None) if at_infinity else _bounded(lows[key], highs[key]), distance)
-    add("axis_angle_rad", value["axis_angle_rad"], _bounded(lows["axis_angle_rad"], highs["axis_angle_rad"]), 1.0)
+            add(key, value[key], (None, None) if nowhere else _bounded(lows[key], highs[key]), distance)
+    turn = (None, None) if circular else _bounded(lows["axis_angle_rad"], highs["axis_angle_rad"])
+    add("axis_angle_rad", value["axis_angle_rad"], turn, 1.0)
     to_angle = [None if x is None or x < 1 else math.acos(1 / x) for x in e]
     v = math.acos(1 / value["eccentricity"]) if value["eccentricity"] >= 1 else math.nan
     add("asymptote_half_angle_rad", v, (to_angle[0], to_angle[1]), 1.0)
