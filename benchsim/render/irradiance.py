@@ -20,6 +20,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import Placement, place
 from benchsim.render import backend
+from benchsim.render.beam_table import BeamTable
 from benchsim.render.diffraction import Pattern, pattern
 from benchsim.render.laser import blur_sigma, density, dot
 from benchsim.render.mirror import Optics, from_facet, optics, single_ray
@@ -99,7 +100,7 @@ def _phase_grid() -> Array:
     return np.linspace(-np.pi, np.pi, 20001)
 
 
-def sweep(recording: Recording, exposure: Exposure, placement: Placement) -> Sweep:
+def sweep(recording: Recording, exposure: Exposure, placement: Placement, lenses: BeamTable | None = None) -> Sweep:
     """Prepare an exposure in float64: the phases whose light reaches the board, and the pattern of diffraction.
 
     Raises
@@ -132,14 +133,14 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement) -> Swe
             f"{recording.path}: in exposure {exposure.name} no light of the laser reaches the board; check the laser's "
             "angles, mirror_position_mm and the screen's size and shift"
         )
-    lands = lands.reshape(-1, grid.size)
-    lit = np.flatnonzero(lands.any(axis=0))
-    about = optics(laser, mirror, placement, (grid[lit[0]] + grid[lit[-1]]) / 2)
-    shear = _shear(about) if physics.beam and facets else 0.0
-    sheared = np.broadcast_to(grid - shear * t, (3, 3, grid.size)).reshape(-1, grid.size) if shear else grid[None, :]
-    first, last = sheared[lands].min() - step, sheared[lands].max() + step
+    lit = np.flatnonzero(lands.reshape(-1, grid.size).any(axis=0))
+    shear = 0.0
+    if physics.beam and facets:
+        shear = _shear(optics(laser, mirror, placement, (grid[lit[0]] + grid[lit[-1]]) / 2))
+    sheared = np.broadcast_to(grid - shear * t if physics.beam else grid, lands.shape)[lands]
+    first, last = sheared.min() - step, sheared.max() + step
     middle, half_range = (first + last) / 2, (last - first) / 2
-    about = optics(laser, mirror, placement, middle)
+    about = optics(laser, mirror, placement, middle, lenses)
 
     measure = 2 * half_range / (2 * np.pi)
     if facets:
@@ -218,7 +219,8 @@ class _Film:
         self.y0, self.z0 = -(self.ny - 1) / 2 * pitch, -(self.nz - 1) / 2 * pitch
         self.shape = (self.nz + 2, self.ny + 2)
         backed = (
-            mi.variant().startswith("llvm") and dr.thread_count() * 4 * self.shape[0] * self.shape[1] < _EXPANDED_BYTES
+            str(mi.variant()).startswith("llvm")
+            and dr.thread_count() * 4 * self.shape[0] * self.shape[1] < _EXPANDED_BYTES
         )
         self.mode = dr.ReduceMode.Expand if backed else dr.ReduceMode.Auto
 
@@ -359,6 +361,7 @@ def irradiance(
     rays: int | None = None,
     relative_error: float | None = None,
     pitch: float = 0.25,
+    lenses: BeamTable | None = None,
 ) -> ScreenMap:
     """Irradiance that the turning mirror lays on the board in one exposure.
 
@@ -381,6 +384,8 @@ def irradiance(
         relative_error``. The noise of a camera's pixel that sees several bins is smaller.
     pitch : float
         Size of a bin [mm].
+    lenses : BeamTable, optional
+        Aberration and shape that lenses add to the beam of ``recording.laser``.
 
     Returns
     -------
@@ -400,7 +405,7 @@ def irradiance(
     if rays is not None and relative_error is not None:
         raise TypeError("give rays or relative_error, not both")
     backend.use()
-    s = sweep(recording, exposure, placement or place(recording.mirror, exposure))
+    s = sweep(recording, exposure, placement or place(recording.mirror, exposure), lenses)
     film = _Film(recording.screen.size, pitch)
     tracer = Tracer(s)
     rng = np.random.default_rng(seed)

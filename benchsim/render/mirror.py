@@ -22,6 +22,7 @@ import numpy as np
 
 from benchsim.bench.model import Laser, Mirror
 from benchsim.bench.place import Placement
+from benchsim.render.beam_table import BeamTable, axes
 from benchsim.render.laser import Beam, Vec, dot, ray_through
 
 
@@ -75,8 +76,11 @@ class Optics:
         return replace(self, **{f.name: walk(getattr(self, f.name)) for f in fields(self)})
 
 
-def optics(laser: Laser, mirror: Mirror, placement: Placement, phase: float) -> Optics:
-    """Constants of a trace about a phase [rad] of the reflecting facet's normal, from ``placement.normal``."""
+def optics(laser: Laser, mirror: Mirror, placement: Placement, phase: float, table: BeamTable | None = None) -> Optics:
+    """Constants of a trace about a phase [rad] of the reflecting facet's normal, from ``placement.normal``.
+
+    ``table`` is what lenses add to the laser's ideal beam.
+    """
     a = placement.axis / np.linalg.norm(placement.axis)
     n0 = placement.normal - (placement.normal @ a) * a
     n0 = n0 / np.linalg.norm(n0)
@@ -93,8 +97,12 @@ def optics(laser: Laser, mirror: Mirror, placement: Placement, phase: float) -> 
     def triple(v: Any) -> Vec:
         return tuple(float(x) for x in v)
 
+    lenses: tuple[Any, ...] = ()
+    if table is not None:
+        x, y = (triple(rotor @ v) for v in axes(placement.laser_direction))
+        lenses = (x, y, 1 / (table.reach * laser.waist), table.slope_x, table.slope_y, table.log_ratio)
     return Optics(
-        beam=Beam.of(laser, triple(d)),
+        beam=Beam(triple(d), laser.curvature, laser.waist, lenses),
         radius=mirror.radius,
         half_width=mirror.facet_width / 2,
         half_height=mirror.height / 2,

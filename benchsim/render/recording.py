@@ -15,6 +15,7 @@ from benchsim.bench.files import write
 from benchsim.bench.model import Camera, Exposure, Laser, Recording
 from benchsim.bench.place import Placement, SettingErrors, camera_pose, place
 from benchsim.bench.settings import OF_THE_SEAT, OF_THE_SETTING, from_vector, prior_sigma, screen_seats
+from benchsim.render.expander import ExpandedBeam, check_against_laser, expand
 from benchsim.render.irradiance import ScreenMap, irradiance
 from benchsim.render.picture import Pose, photograph
 from benchsim.render.sensor import expose, signals, write_image
@@ -22,8 +23,8 @@ from benchsim.render.sensor import expose, signals, write_image
 Array = NDArray[np.float64]
 
 POSE_POSITION = 2.0
-"""1 sigma of the camera's position about its nominal one in every exposure, along each axis [mm]. The pose is solved from
-the marks, so this says only that nobody may rely on the nominal one."""
+"""1 sigma of the camera's position about its nominal one in every exposure, along each axis [mm]. The pose is solved
+from the marks, so this says only that nobody may rely on the nominal one."""
 
 POSE_ANGLE = 2.0e-3
 """1 sigma of the camera's turn about each of its axes in every exposure [rad]."""
@@ -50,6 +51,10 @@ class RenderedTruth:
         Everything was drawn from it.
     light_seeds, noise_seeds : tuple of int
         Of each exposure's rays, and of its pictures' noise.
+    beam : ExpandedBeam or None
+        What the lenses of ``[expander]`` make, before the draw of diameter and divergence.
+    remarks : tuple of str
+        Sentences for the user: where the expander's beam differs from ``[laser]``.
     """
 
     recording: Recording
@@ -61,6 +66,8 @@ class RenderedTruth:
     seed: int
     light_seeds: tuple[int, ...]
     noise_seeds: tuple[int, ...]
+    beam: ExpandedBeam | None = None
+    remarks: tuple[str, ...] = ()
 
 
 def draw_errors(recording: Recording, rng: np.random.Generator) -> tuple[SettingErrors, ...]:
@@ -90,7 +97,7 @@ def draw_errors(recording: Recording, rng: np.random.Generator) -> tuple[Setting
 
 
 def draw_laser(recording: Recording, rng: np.random.Generator) -> Laser:
-    """The laser with its true diameter and divergence, one draw each per recording."""
+    """The laser with its true diameter and divergence, one draw each per recording, about those that it has."""
     u, laser = recording.uncertainty, recording.laser
     diameter, divergence = rng.standard_normal(2)
     return replace(
@@ -175,6 +182,16 @@ def render_recording(
     seed = options.seed if seed is None else seed
     tell = progress or (lambda what, done: None)
     exposures = recording.exposures
+    written = recording
+    remarks: tuple[str, ...] = ()
+    beam, lenses = None, None
+    if recording.expander is not None:
+        tell("tracing the expander", 0.0)
+        beam = expand(recording.expander, recording.laser.wavelength)
+        remark = check_against_laser(beam, recording.laser)
+        remarks, lenses = (() if remark is None else (remark,)), beam.table
+        made = replace(recording.laser, beam_diameter=beam.diameter, divergence=beam.divergence)
+        recording = replace(recording, laser=made)
     names = _image_names(len(exposures), images)
     darks = [f"{Path(n).stem}-dark{Path(n).suffix}" if options.dark else None for n in names]
 
@@ -203,7 +220,7 @@ def render_recording(
     for i, e in enumerate(exposures):
         tell(f"rendering {names[i]}", i / len(exposures))
         if keys[i] not in maps:
-            maps[keys[i]] = irradiance(true, e, placement=placements[i], seed=light_seeds[i])
+            maps[keys[i]] = irradiance(true, e, placement=placements[i], seed=light_seeds[i], lenses=lenses)
         light = maps[keys[i]]
         if keys[i] not in keys[i + 1 :]:
             del maps[keys[i]]
@@ -221,7 +238,7 @@ def render_recording(
         except BenchsimError as error:
             raise BenchsimError(f"{recording.path.name}: exposure[{i + 1}]: {error}") from None
     written = replace(
-        recording,
+        written,
         exposures=tuple(replace(e, image=n, dark=d) for e, n, d in zip(exposures, names, darks, strict=True)),
         expander=None,
         path=folder / "recording.toml",
@@ -229,7 +246,17 @@ def render_recording(
     write(written, written.path)
     tell("rendered", 1.0)
     return RenderedTruth(
-        written, laser, cameras, errors, tuple(placements), tuple(poses), seed, light_seeds, noise_seeds
+        written,
+        laser,
+        cameras,
+        errors,
+        tuple(placements),
+        tuple(poses),
+        seed,
+        light_seeds,
+        noise_seeds,
+        beam,
+        remarks,
     )
 
 
