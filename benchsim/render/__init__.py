@@ -1,5 +1,11 @@
-"""The bench in Mitsuba: irradiance on the board first, the camera's picture of it second."""
+"""The bench in Mitsuba: irradiance on the board first, the camera's picture of it second.
 
+Importing the room registers the plugins of `plugins` for whatever variant is set, now or later, so that plain
+``mi.load_file`` and ``mi.render`` can use ``scenes/*.xml``. It sets no variant; `backend.use` does, and tests it.
+"""
+
+from benchsim.render import plugins
 from benchsim.render.irradiance import ScreenMap, irradiance
+from benchsim.render.reference import scene_xml
 
-__all__ = ["ScreenMap", "irradiance"]
+__all__ = ["ScreenMap", "irradiance", "plugins", "scene_xml"]

@@ -22,7 +22,7 @@ from benchsim.bench.place import Placement, place
 from benchsim.render import backend
 from benchsim.render.beam_table import BeamTable
 from benchsim.render.diffraction import Pattern, pattern
-from benchsim.render.laser import blur_sigma, density, dot
+from benchsim.render.laser import blur_sigma, density, dot, perpendicular
 from benchsim.render.mirror import Optics, from_facet, optics, single_ray
 
 Array = NDArray[np.float64]
@@ -288,9 +288,8 @@ class Tracer:
         self.half_range, self.shear = _opaque(s.half_range), _opaque(s.shear)
         self.tables = None if s.pattern is None else _Tables(s.pattern)
         self.wavelength = _opaque(s.wavelength)
-        d = np.array(s.optics.beam.direction)
-        u = np.linalg.svd(d[None, :])[2][1:]
-        self.plane = tuple(tuple(_opaque(x) for x in row) for row in u)
+        u, v = perpendicular(np.array(s.optics.beam.direction))
+        self.plane = tuple(tuple(_opaque(x) for x in axis) for axis in (u, v))
         self.blur = _opaque(s.blur)
         self.dimensions = 1 if not s.beam else (5 if s.blur > 0 else 3)
 

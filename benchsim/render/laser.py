@@ -15,6 +15,9 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from benchsim.bench.model import Laser
 from benchsim.render.beam_table import onto_disc, polynomial
 
@@ -24,6 +27,13 @@ Vec = tuple[Any, ...]
 def dot(a: Vec, b: Vec) -> Any:
     """Scalar product of two triples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def perpendicular(d: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """u, v that make a right-handed frame with the unit vector d."""
+    u = np.cross(np.eye(3)[np.argmin(np.abs(d))], d)
+    u = u / np.linalg.norm(u)
+    return u, np.cross(d, u)
 
 
 @dataclass(frozen=True)
