@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,18 +11,31 @@ Array = NDArray[np.float64]
 
 
 def undistort(camera: Camera, pixels: Array) -> Array:
-    """Pixels as a camera of the same focal length without distortion would see them, (..., 2) px."""
+    """Pixels as a camera of the same focal length without distortion would see them, (..., 2) px.
+
+    Newton's method; nan where it does not converge to 1e-9 px, that is where the distortion folds the picture over
+    (far outside it, or with coefficients that were extrapolated).
+    """
+    pixels = np.asarray(pixels, float)
     if not any(camera.distortion):
-        return np.asarray(pixels, float)
-    k = camera_matrix(camera)
-    flat = np.ascontiguousarray(pixels, float).reshape(-1, 1, 2)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-8)
-    out = cv2.undistortPoints(flat, k, np.asarray(camera.distortion), None, None, k, criteria)
-    return out.reshape(np.shape(pixels)).astype(float)
+        return pixels.copy()
+    ideal = pixels.copy()
+    miss = np.inf
+    for _ in range(12):
+        residual = distort(camera, ideal) - pixels
+        (a, b), (_, d) = np.moveaxis(distortion_jacobian(camera, ideal), (-2, -1), (0, 1))
+        ru, rv = residual[..., 0], residual[..., 1]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            ideal = ideal - np.stack([d * ru - b * rv, a * rv - b * ru], axis=-1) / (a * d - b * b)[..., None]
+        miss = np.abs(residual).max(axis=-1)
+        # Newton squares the miss: after a step from 1e-5 px nothing is left.
+        if not np.any(miss > 1e-5):
+            break
+    return np.where(np.asarray(miss <= 1e-5)[..., None], ideal, np.nan)
 
 
 def distort(camera: Camera, ideal: Array) -> Array:
-    """Inverse of `undistort`: Brown's model, exact."""
+    """Pixels at which a lens with Brown's distortion shows undistorted pixels, (..., 2) px."""
     k1, k2, p1, p2, k3 = camera.distortion
     c = np.asarray(camera.principal_point)
     x, y = np.moveaxis((np.asarray(ideal, float) - c) / camera.focal, -1, 0)
@@ -32,12 +44,6 @@ def distort(camera: Camera, ideal: Array) -> Array:
     xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
     yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
     return np.stack([xd, yd], axis=-1) * camera.focal + c
-
-
-def camera_matrix(camera: Camera) -> Array:
-    """OpenCV's 3 × 3 matrix of the camera."""
-    (cx, cy), f = camera.principal_point, camera.focal
-    return np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
 
 
 def distortion_jacobian(camera: Camera, ideal: Array) -> Array:

@@ -259,7 +259,7 @@ def _reasons(good: NDArray[np.bool_], corners: Array, coarse: Array, photograph:
     side = np.linalg.norm(np.roll(coarse, -1, axis=1) - coarse, axis=-1).min(axis=1)
     moved = np.linalg.norm(corners - coarse, axis=-1).max(axis=1)
     h, w = photograph.shape
-    outside = ((corners < 1) | (corners > np.array([w - 2, h - 2]))).any(axis=(1, 2))
+    outside = np.any((corners < 1) | (corners > np.array([w - 2, h - 2])), axis=(1, 2))
     reasons = []
     for i in range(len(corners)):
         if outside[i]:
