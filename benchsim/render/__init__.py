@@ -6,6 +6,18 @@ Importing the room registers the plugins of `plugins` for whatever variant is se
 
 from benchsim.render import plugins
 from benchsim.render.irradiance import ScreenMap, irradiance
+from benchsim.render.picture import Picture, photograph
+from benchsim.render.recording import RenderedTruth, draw_errors, render_recording
 from benchsim.render.reference import scene_xml
 
-__all__ = ["ScreenMap", "irradiance", "plugins", "scene_xml"]
+__all__ = [
+    "Picture",
+    "RenderedTruth",
+    "ScreenMap",
+    "draw_errors",
+    "irradiance",
+    "photograph",
+    "plugins",
+    "render_recording",
+    "scene_xml",
+]

@@ -53,7 +53,7 @@ class RenderedTruth:
         Of each exposure's rays, and of its pictures' noise.
     beam : ExpandedBeam or None
         What the lenses of ``[expander]`` make, before the draw of diameter and divergence.
-    remarks : tuple of str
+    notes : tuple of str
         Sentences for the user: where the expander's beam differs from ``[laser]``.
     """
 
@@ -67,7 +67,7 @@ class RenderedTruth:
     light_seeds: tuple[int, ...]
     noise_seeds: tuple[int, ...]
     beam: ExpandedBeam | None = None
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def draw_errors(recording: Recording, rng: np.random.Generator) -> tuple[SettingErrors, ...]:
@@ -183,13 +183,13 @@ def render_recording(
     tell = progress or (lambda what, done: None)
     exposures = recording.exposures
     written = recording
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     beam, lenses = None, None
     if recording.expander is not None:
         tell("tracing the expander", 0.0)
         beam = expand(recording.expander, recording.laser.wavelength)
-        remark = check_against_laser(beam, recording.laser)
-        remarks, lenses = (() if remark is None else (remark,)), beam.table
+        note = check_against_laser(beam, recording.laser)
+        notes, lenses = (() if note is None else (note,)), beam.table
         made = replace(recording.laser, beam_diameter=beam.diameter, divergence=beam.divergence)
         recording = replace(recording, laser=made)
     names = _image_names(len(exposures), images)
@@ -256,7 +256,7 @@ def render_recording(
         light_seeds,
         noise_seeds,
         beam,
-        remarks,
+        notes,
     )
 
 

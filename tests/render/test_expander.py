@@ -202,7 +202,7 @@ def test_a_bench_with_an_expander_is_rendered_with_its_beam(tmp_path):
     )
     truth = render_recording(bench, tmp_path, setting_errors=False)
     assert truth.beam is not None and truth.laser.beam_diameter == truth.beam.diameter
-    assert len(truth.remarks) == 1 and "the expander makes a beam of" in truth.remarks[0]
+    assert len(truth.notes) == 1 and "the expander makes a beam of" in truth.notes[0]
     assert "expander" not in (tmp_path / "recording.toml").read_text()
     with pytest.raises(BenchsimError, match=r"\[expander\]"):
         render_recording(replace(bench, expander=galilean(defocus=-2.0)), tmp_path)
