@@ -180,7 +180,7 @@ def fit_section(
         return c, feet, r, d, float(r @ r + q @ q + eta @ eta)
 
     def slopes(q: Array, c: Array) -> Array:
-        h = 1e-3
+        h = 1e-2
         return np.stack(
             [(coefficients(q + h * e, c) - coefficients(q - h * e, c)) / (2 * h) for e in np.eye(k)], axis=1
         )
