@@ -87,9 +87,10 @@ def shape_table(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         mean = scene.skew * 1.7 / 3
     else:
         # Two slits' Fresnel patterns, added without interference: side lobes, 1/x² tails, lopsided; each symmetric.
-        weight, apart = 0.5 + scene.skew / 2, 0.8
+        # As lopsided as behind a 2 mm mirror up to a third of the beam's radius off its axis.
+        weight, apart = 0.5 + 0.4 * scene.skew / 2, 0.8
         light = weight * _slit(x - apart, 1.3) + (1 - weight) * _slit(x + apart, 1.3)
-        mean = apart * scene.skew
+        mean = apart * 0.4 * scene.skew
     return x - mean, light / (light.sum() * (x[1] - x[0]))
 
 

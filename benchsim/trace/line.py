@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import ndimage, stats
 from scipy.interpolate import BSpline
 
 from benchsim.trace.band import Band, band_along, smooth_curve
@@ -113,8 +113,8 @@ def measure_line(picture: Picture, coarse: CoarseCurve, reach: float) -> Line | 
     if found is None:
         return None
     curve, span, fwhm = found
-    core = 1.4 * fwhm + 2.0
-    half_width = core + max(6.0, 0.8 * core)
+    core = 1.2 * fwhm + 1.5
+    half_width = core + (10.0 if picture.dark else 16.0)
     band = band_along(curve, span, half_width, shape)
     if band is None:
         return None
@@ -132,6 +132,7 @@ def _centred(
         if band is None:
             return None
         use = band.inside & (band.take(picture.blocked) == KEPT)
+        use &= ~_darker(picture, band, use)
         light = np.where(use, band.take(picture.signal), np.nan)
         with np.errstate(all="ignore"):
             light = light - _row_median(light)[:, None]
@@ -169,6 +170,22 @@ def _centred(
     return curve, span, fwhm
 
 
+def _darker(picture: Picture, band: Band, board: Mask) -> Mask:
+    """Pixels darker than the board by five sigma, grown by two: light only adds, so that is print or no board.
+
+    ``board``: pixels of the band that mostly show the board. Nothing where a dark picture was subtracted.
+    """
+    if picture.dark:
+        return np.zeros(board.shape, bool)
+    light = band.take(picture.signal)
+    level = ndimage.median_filter(_row_median(np.where(board, light, np.nan)), 101, mode="nearest")[:, None]
+    sigma = 1.4826 * np.median(np.abs((light - level)[board])) if board.any() else 0.0
+    dark = np.zeros(picture.signal.shape, np.uint8)
+    hit = band.inside & (light < level - 5 * sigma)
+    dark[band.v[hit], band.u[hit]] = 1
+    return band.take(cv2.dilate(dark, np.ones((5, 5), np.uint8)).astype(bool)) & band.inside
+
+
 def _row_median(light: Array) -> Array:
     empty = ~np.isfinite(light).any(axis=1)
     filled = np.where(empty[:, None], 0.0, light)
@@ -194,20 +211,23 @@ def _measured(
 ) -> Line | None:
     signal, level0 = band.take(picture.signal).astype(float), band.take(picture.pedestal).astype(float)
     blocked = np.where(band.inside, band.take(picture.blocked), 0)
+    inner = band.inside & (np.abs(band.n) <= core)
+    blocked[_darker(picture, band, band.inside & ~inner & (blocked == KEPT)) & (blocked == KEPT)] = ON_MARK
     clipped = band.take(cv2.dilate(picture.saturated.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool))
     clipped &= band.inside
-    inner = band.inside & (np.abs(band.n) <= core)
     status = _obstacles(picture, band, blocked, inner, core)
     usable = band.inside & (blocked == KEPT)
     open_rows = status == KEPT
     if open_rows.sum() < LEAST_PROFILES:
         return None
-    slope, slope_factor = _slope(picture, band, signal, usable & ~inner & ~clipped & open_rows[:, None], span)
-    signal = signal - slope[:, None] * band.n
     unsaturated = usable & ~clipped
-
     flank = usable & ~inner
     background = (signal * flank).sum(axis=1) / np.maximum(flank.sum(axis=1), 1)
+    flux = ((signal - background[:, None]) * (inner & usable)).sum(axis=1)
+    window = np.ones(15)
+    flux = np.convolve(flux * open_rows, window, "same") / np.maximum(np.convolve(open_rows, window, "same"), 1)
+    slope, slope_factor = _slope(picture, band, signal, flank & ~clipped & open_rows[:, None], flux, core, span)
+    signal = signal - slope[:, None] * band.n
     spread = (
         signal[flank & open_rows[:, None]]
         - np.broadcast_to(background[:, None], signal.shape)[flank & open_rows[:, None]]
@@ -217,10 +237,6 @@ def _measured(
     base_level = max(float(np.median(level[flank & open_rows[:, None]])), 1e-30)
     # First guess of the noise: all of the flank's variance is shot noise.
     variance = np.maximum(floor * (1 + (level - base_level) / base_level), 0.3 * floor)
-    flux = ((signal - background[:, None]) * (inner & usable)).sum(axis=1)
-    flux = np.convolve(flux * open_rows, np.ones(15), "same") / np.maximum(
-        np.convolve(open_rows, np.ones(15), "same"), 1
-    )
     rows = open_rows & (flux > 0)
     fit: Profiles | None = None
     shape: Shape | None = None
@@ -241,6 +257,7 @@ def _measured(
         fit = fit_profiles(x, signal, weight, band.t, shape, None if turn < 2 else fit)
         strong = open_rows & (fit.flux > FAINT_SIGMA * fit.flux_sigma)
         rows = strong & (fit.shift_sigma < core / 3) & (np.abs(fit.shift) < core / 2)
+        rows &= ~_misshapen(fit, rows)
         if rows.sum() < LEAST_PROFILES:
             return None
         pick = near & rows[:, None]
@@ -285,22 +302,32 @@ def _obstacles(picture: Picture, band: Band, blocked: Array, inner: Mask, core: 
 
 
 def _slope(
-    picture: Picture, band: Band, signal: Array, flank: Mask, span: tuple[float, float]
+    picture: Picture, band: Band, signal: Array, flank: Mask, flux: Array, core: float, span: tuple[float, float]
 ) -> tuple[Array, Array | None]:
-    """Slope of the background across the line, quadratic along it, and its error factor; zero with a dark picture."""
+    """Slope of the background across the line, quadratic along it, and its error factor; zero with a dark picture.
+
+    Fitted together with the line's own lopsided tail (see `shape`), which would pass for a slope.
+    """
     if picture.dark:
         return np.zeros(len(band.t)), None
-    terms = legendre(band.t, span, 2)
     count = np.maximum(flank.sum(axis=1), 1)[:, None]
-    x = np.where(flank, band.n - (band.n * flank).sum(axis=1, keepdims=True) / count, 0.0)
-    y = np.where(flank, signal - (signal * flank).sum(axis=1, keepdims=True) / count, 0.0)
-    xx, xy = (x * x).sum(axis=1), (x * y).sum(axis=1)
-    normal = np.einsum("k,ka,kb->ab", xx, terms, terms)
-    coefficients = np.linalg.solve(normal, terms.T @ xy)
-    slope = terms @ coefficients
-    residual = np.where(flank, y - slope[:, None] * x, 0.0)
-    variance = float((residual**2).sum() / max(flank.sum() - len(band.t), 1))
-    return slope, terms @ np.linalg.cholesky(np.linalg.inv(normal) * variance)
+
+    def centred(a: Array) -> Array:
+        return np.where(flank, a - (a * flank).sum(axis=1, keepdims=True) / count, 0.0)
+
+    x = centred(band.n)
+    tail = centred(flux[:, None] * np.sign(band.n) / np.maximum(np.abs(band.n), core) ** 3)
+    terms = legendre(band.t, span, 2)
+    design = np.concatenate([(x[..., None] * terms[:, None, :])[flank], tail[flank][:, None]], axis=1)
+    size = np.maximum(np.abs(design).max(axis=0), 1e-30)
+    design /= size
+    y = centred(signal)[flank]
+    inverse = np.linalg.pinv(design.T @ design)
+    coefficients = inverse @ (design.T @ y)
+    variance = float(((y - design @ coefficients) ** 2).sum() / max(len(y) - len(band.t), 1))
+    terms = terms / size[:3]
+    value, vector = np.linalg.eigh(inverse[:3, :3] * variance)
+    return terms @ coefficients[:3], terms @ (vector * np.sqrt(np.maximum(value, 0.0)))
 
 
 def _judged(
@@ -328,18 +355,12 @@ def _judged(
     kept = status == KEPT
     if kept.sum() < LEAST_PROFILES:
         return None
-    threshold = stats.norm.isf(FALSE_ALARM / (2 * kept.sum()))
-    # Wilson & Hilferty: the cube root of chi² is nearly normal; its centre and spread are the picture's own.
-    freedom = np.maximum(fit.pixels - 4, 1)
-    root = np.cbrt(fit.chi2 / freedom) * np.sqrt(9 * freedom / 2)
-    centre = np.median(root[kept])
-    spread = 1.4826 * np.median(np.abs(root[kept] - centre))
-    status[kept & (root - centre > threshold * max(spread, 1.0))] = MISSHAPEN
+    status[kept & _misshapen(fit, kept)] = MISSHAPEN
     kept = status == KEPT
     if kept.sum() < LEAST_PROFILES:
         return None
     offset = (fit.shift + shape.centroid(t)) * zoom
-    noise = None
+    noise, threshold = None, stats.norm.isf(FALSE_ALARM / (2 * max(kept.sum(), 1)))
     for _ in range(3):
         basis = spline_basis(t[kept], span, 40.0)
         noise = centre_noise(t[kept], offset[kept], shift_sigma[kept], basis)
@@ -358,7 +379,9 @@ def _judged(
     sigma = shift_sigma[k] * noise.scale
     factor = [_beyond_shifts(shape, t[k], sigma / zoom[k], noise) * zoom[k, None]]
     if slope_factor is not None:
-        factor.append(slope_factor[k] * (2 * (shape.core * zoom[k]) ** 3 / 3 / (fit.flux * zoom)[k])[:, None])
+        # Of n, not of n over the width: one power of the width from the slope, one from the centre, none from the flux.
+        response = shape.slope_response * zoom[k] ** 3 / (fit.flux * zoom)[k]
+        factor.append(slope_factor[k] * response[:, None])
     normal = band.normal[k]
     gone = np.flatnonzero(status != KEPT)
     return Line(
@@ -380,6 +403,20 @@ def _judged(
         curve,
         span,
     )
+
+
+def _misshapen(fit: Profiles, among: Mask) -> Mask:
+    """Profiles whose chi² is out of line with the others'.
+
+    The cube root of chi² is nearly normal (Wilson & Hilferty 1931); its centre and spread are the picture's own.
+    """
+    if among.sum() < LEAST_PROFILES:
+        return np.zeros(len(among), bool)
+    freedom = np.maximum(fit.pixels - 4, 1)
+    root = np.cbrt(fit.chi2 / freedom) * np.sqrt(9 * freedom / 2)
+    centre = np.median(root[among])
+    spread = max(1.4826 * float(np.median(np.abs(root[among] - centre))), 1.0)
+    return root - centre > stats.norm.isf(FALSE_ALARM / among.sum()) * spread
 
 
 def _beyond_shifts(shape: Shape, t: Array, sigma: Array, noise: CentreNoise) -> Array:

@@ -26,9 +26,12 @@ SCALES = (1.0, 2.0, 4.0)
 FALSE_POINTS = 1.0
 """Ridge points that noise alone is expected to raise above the threshold in one picture."""
 
-TRIALS = 400
-"""Random parabolas; points are drawn by strength, so a trace that carries 20 % of it is missed once in 25 pictures,
-one that carries 50 % never."""
+TRIALS = 1000
+"""Random parabolas, each from two points drawn by strength: a trace that carries a tenth of the strength is drawn ten
+times."""
+
+POINTS = 1500
+"""Points that vote on the parabolas; more are drawn from by strength."""
 
 ANGLE = np.radians(20.0)
 """Largest angle between a ridge point's own direction and the curve's."""
@@ -132,9 +135,9 @@ class CoarseCurve:
 def best_curve(points: RidgePoints, seed: int = 0) -> CoarseCurve | None:
     """The smooth curve that collects most ridge strength; None if fewer than 8 points agree on one.
 
-    Random parabolas through three points (RANSAC, Fischler & Bolles 1981), then least squares up to a quartic in the
+    Random parabolas through two points and along their directions (RANSAC, Fischler & Bolles 1981), then least squares up to a quartic in the
     frame of its chord, so the curve may turn by less than 90 degrees from its chord. Works while the trace
-    carries at least a fifth of the strength of all ridge points.
+    carries at least a tenth of the strength of all ridge points.
 
     Parameters
     ----------
@@ -146,32 +149,43 @@ def best_curve(points: RidgePoints, seed: int = 0) -> CoarseCurve | None:
     if n < 8:
         return None
     rng = np.random.default_rng(seed)
-    p, strength = points.uv, points.strength
-    draw = rng.choice(n, size=(TRIALS, 3), p=strength / strength.sum())
+    share = points.strength / points.strength.sum()
+    vote = rng.choice(n, size=POINTS, p=share, replace=False) if n > POINTS else np.arange(n)
+    voters = RidgePoints(points.uv[vote], points.direction[vote], points.strength[vote], points.reduction)
+    first, second = rng.choice(n, size=(2, TRIALS), p=share)
     tolerance = 1.5 * points.reduction + 2.0
-    a, b, c = p[draw[:, 0]], p[draw[:, 1]], p[draw[:, 2]]
-    chord = b - a
-    length = np.linalg.norm(chord, axis=1)
-    apart = length > 8 * points.reduction
-    chord = chord / np.maximum(length, 1e-9)[:, None]
-    x3 = np.einsum("ij,ij->i", c - a, chord)
-    y3 = chord[:, 0] * (c - a)[:, 1] - chord[:, 1] * (c - a)[:, 0]
-    bend = y3 / np.where(np.abs(x3 * (x3 - length)) < 1, 1, x3 * (x3 - length))
-    apart &= np.abs(x3 * (x3 - length)) > (4 * points.reduction) ** 2
-    x = (p @ chord.T) - np.einsum("ij,ij->i", a, chord)
+    a, chord = points.uv[first], points.uv[second] - points.uv[first]
+    length = np.maximum(np.linalg.norm(chord, axis=1), 1e-9)
+    chord = chord / length[:, None]
+    slope_a, slope_b = _slope(points.direction[first], chord), _slope(points.direction[second], chord)
+    # In the frame of its chord a parabola leaves and arrives at opposite slopes.
+    sound = (length > 8 * points.reduction) & (np.abs(slope_a + slope_b) < 2 * np.tan(ANGLE))
+    bend = (slope_b - slope_a) / (2 * length)
+    inside = _members(voters, a, chord, length, bend, tolerance) & sound
+    best = int(np.argmax(voters.strength @ inside))
+    one = slice(best, best + 1)
+    members = _members(points, a[one], chord[one], length[one], bend[one], tolerance)[:, 0]
+    return _refined(points, members, tolerance) if members.sum() >= 8 else None
+
+
+def _slope(direction: Array, chord: Array) -> Array:
+    """Slope of directions in the frames of chords; undirected, so the sign of either does not matter."""
+    along = np.einsum("ij,ij->i", direction, chord)
+    across = chord[:, 0] * direction[:, 1] - chord[:, 1] * direction[:, 0]
+    return across / np.where(np.abs(along) < 0.05, np.copysign(0.05, along), along)
+
+
+def _members(points: RidgePoints, start: Array, chord: Array, length: Array, bend: Array, tolerance: float) -> Mask:
+    """Which points lie on which parabola, and along it, (points, parabolas)."""
+    p, d = points.uv, points.direction
+    x = p @ chord.T - np.einsum("ij,ij->i", start, chord)
     y = np.outer(p[:, 1], chord[:, 0]) - np.outer(p[:, 0], chord[:, 1])
-    y -= chord[:, 0] * a[:, 1] - chord[:, 1] * a[:, 0]
+    y -= chord[:, 0] * start[:, 1] - chord[:, 1] * start[:, 0]
     slope = bend * (2 * x - length)
-    along = points.direction @ chord.T
-    across = np.outer(points.direction[:, 1], chord[:, 0]) - np.outer(points.direction[:, 0], chord[:, 1])
-    turned = np.abs(across - slope * along) <= np.sin(ANGLE) * np.hypot(1, slope)
-    inside = (np.abs(y - bend * x * (x - length)) <= tolerance * np.hypot(1, slope)) & turned & apart
-    score = strength @ inside
-    best = int(np.argmax(score))
-    members = inside[:, best]
-    if members.sum() < 8:
-        return None
-    return _refined(points, members, tolerance)
+    stretch = np.hypot(1, slope)
+    across = np.outer(d[:, 1], chord[:, 0]) - np.outer(d[:, 0], chord[:, 1])
+    turned = np.abs(across - slope * (d @ chord.T)) <= np.sin(ANGLE) * stretch
+    return (np.abs(y - bend * x * (x - length)) <= tolerance * stretch) & turned
 
 
 def _refined(points: RidgePoints, members: Mask, tolerance: float) -> CoarseCurve | None:

@@ -54,6 +54,8 @@ class Shape:
         standardised moment of the core.
     factor : (order + 1, r) array
         ``legendre(t) @ factor / integral(t)`` times r independent unit normals is the error of the centroid [px].
+    slope_response : float
+        Shift of the centroid [px] per slope left in the background, light/px over flux [1/px²].
     """
 
     spline: BSpline
@@ -65,6 +67,7 @@ class Shape:
     width: CubicSpline
     skewness: CubicSpline
     factor: Array
+    slope_response: float
 
     @property
     def order(self) -> int:
@@ -189,7 +192,7 @@ def _finish(
     level = basis[np.abs(grid - middle) > core].mean(axis=0)
     c = c - (level @ c)[None, :]
     count, k = c.shape
-    tail = _tail(grid - middle, basis, core, c, covariance[:count, :count])
+    tail = _tail(grid - middle, basis, core, c, covariance)
     nodes = np.linspace(*span, _NODES)
     terms = legendre(nodes, span, k - 1)
     light = (basis @ c) @ terms.T
@@ -216,6 +219,7 @@ def _finish(
         CubicSpline(nodes, width),
         CubicSpline(nodes, skew),
         vector * np.sqrt(np.maximum(value, 0.0)),
+        float(pull @ ((knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3)),  # a line's coefficients: Greville's abscissae
     )
 
 
@@ -235,9 +239,12 @@ def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array) -> A
         parts.append(h @ basis / max(float(h @ h), 1e-300))
     difference = parts[0] - parts[1]
     mean = (parts[0] + parts[1]) / 2
-    sigma = np.sqrt(max(float(difference @ covariance @ difference), 0.0))
-    if abs(difference @ c[:, 0]) > 5 * sigma + 0.5 * abs(mean @ c[:, 0]):
-        return np.zeros(len(mean))
+    count = len(mean)
+    for j in range(c.shape[1]):
+        block = covariance[j * count : (j + 1) * count, j * count : (j + 1) * count]
+        sigma = np.sqrt(max(float(difference @ block @ difference), 0.0))
+        if abs(difference @ c[:, j]) > 5 * sigma + 0.5 * abs(mean @ c[:, 0]):
+            return np.zeros(count)
     return mean * 2 / core
 
 
