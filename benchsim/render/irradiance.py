@@ -125,7 +125,7 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement, lenses
         hit = from_facet(whole, grid, t, h, np) if physics.beam else single_ray(whole, grid, np, facets=facets)
         lands = hit.arrives & (np.abs(hit.y) <= half[0]) & (np.abs(hit.z) <= half[1])
         if not physics.beam and facets:
-            lands &= (np.abs(hit.t) <= whole.half_width) & (np.abs(hit.h) <= whole.half_height)
+            lands &= np.abs(hit.t) <= whole.half_width
         if physics.beam:
             lands &= dot(hit.rho, hit.rho) < (4 * laser.waist) ** 2
     if not lands.any():
@@ -313,7 +313,9 @@ class Tracer:
             hit = single_ray(o, delta, dr, facets=s.facets)
             on = hit.arrives
             if s.facets:
-                on &= (dr.abs(hit.t) <= o.half_width) & (dr.abs(hit.h) <= o.half_height)
+                # The facet's ends hand over to the next one; its height is ignored, or setting errors of 1 mm would lose
+                # the ray.
+                on &= dr.abs(hit.t) <= o.half_width
             return hit.y, hit.z, mi.Float(1.0) + 0.0 * hit.y, on, (delta, hit.t, hit.h)
         t = dr.fma(2.0 * u[1], o.half_width, -o.half_width) if s.facets else mi.Float(0.0)
         delta = dr.fma(self.shear, t, delta)
