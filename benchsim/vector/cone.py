@@ -91,9 +91,10 @@ def section(cone: Cone, rotation: ArrayLike | None = None, origin: ArrayLike | N
     """
     rows = np.eye(3) if rotation is None else np.asarray(rotation, float)
     o = np.zeros(3) if origin is None else np.asarray(origin, float)
-    m = np.outer(cone.axis, cone.axis) - cone.cosine**2 * np.eye(3)
     h = np.stack([rows[:, 1], rows[:, 2], o - cone.apex], axis=-1)
-    return conic.normalise(conic.from_matrix(h.T @ m @ h))
+    # hᵀ (aaᵀ − c²1) h, multiplied out: a cone that is nearly a plane keeps its digits.
+    along = cone.axis @ h
+    return conic.normalise(conic.from_matrix(np.outer(along, along) - cone.cosine**2 * h.T @ h))
 
 
 def real_branch(
