@@ -118,7 +118,11 @@ def to_pixels(scene: Scene, board: np.ndarray) -> np.ndarray:
     """Board points (n, 2) [mm] to pixels."""
     world = np.concatenate([np.zeros((len(board), 1)), board], axis=1)
     out, _ = cv2.projectPoints(
-        world, cv2.Rodrigues(scene.rotation)[0], scene.translation, _matrix(scene.camera), np.array(scene.camera.distortion)
+        world,
+        cv2.Rodrigues(scene.rotation)[0],
+        scene.translation,
+        _matrix(scene.camera),
+        np.array(scene.camera.distortion),
     )
     return out[:, 0]
 
@@ -164,8 +168,10 @@ def expose(scene: Scene, peak: float = 0.7, room: float = 0.3, half_band: float 
     w, h = scene.camera.resolution
     edge = np.linspace(-350, 350, 40)
     ring = np.concatenate(
-        [np.stack(p, axis=1) for p in ((edge, 0 * edge - 350), (0 * edge + 350, edge), (-edge, 0 * edge + 350),
-                                       (0 * edge - 350, -edge))]
+        [
+            np.stack(p, axis=1)
+            for p in ((edge, 0 * edge - 350), (0 * edge + 350, edge), (-edge, 0 * edge + 350), (0 * edge - 350, -edge))
+        ]
     )
     board = np.zeros((h, w), np.uint8)
     cv2.fillPoly(board, [np.round(to_pixels(scene, ring) * 16).astype(np.int32)], 1, shift=4)

@@ -51,7 +51,7 @@ class RidgePoints:
     reduction: float
 
 
-def ridge_points(picture: Array, usable: Mask | None = None) -> RidgePoints:
+def ridge_points(picture: NDArray[np.floating], usable: Mask | None = None) -> RidgePoints:
     """Points on bright ridges that noise does not explain.
 
     Second derivatives at three scales (Lindeberg 1998, IJCV 30, 117); a point is kept where the maximum across the
@@ -70,12 +70,10 @@ def ridge_points(picture: Array, usable: Mask | None = None) -> RidgePoints:
     """
     h, w = picture.shape
     f = max(1, round(max(h, w) / REDUCED_SIZE))
-    size = (max(w // f, 1), max(h // f, 1))
-    image = cv2.resize(picture[: size[1] * f, : size[0] * f].astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    image = _reduced(picture, f)
     valid = np.ones(image.shape, bool)
     if usable is not None:
-        part = cv2.resize(usable[: size[1] * f, : size[0] * f].astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        valid = part > 0.99
+        valid = _reduced(usable, f) > 0.99
         image = _filled(image, valid)
     best = np.zeros(image.shape, np.float32)
     angle = np.zeros(image.shape, np.float32)
@@ -112,6 +110,13 @@ def ridge_points(picture: Array, usable: Mask | None = None) -> RidgePoints:
     return RidgePoints(uv.astype(float), direction.astype(float), best[v, u].astype(float), float(f))
 
 
+def _reduced(image: NDArray, f: int) -> NDArray[np.float32]:
+    """Means over f × f pixels; what does not fill a block is cut off."""
+    h, w = image.shape[0] // f * f, image.shape[1] // f * f
+    small = cv2.resize(image[:h, :w].astype(np.float32), (w // f, h // f), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.float32)
+
+
 def _filled(image: NDArray[np.float32], valid: Mask) -> NDArray[np.float32]:
     """Unusable pixels replaced by the weighted mean of usable ones nearby, at the smallest scale that has any."""
     out = np.where(valid, image, 0).astype(np.float32)
@@ -135,9 +140,9 @@ class CoarseCurve:
 def best_curve(points: RidgePoints, seed: int = 0) -> CoarseCurve | None:
     """The smooth curve that collects most ridge strength; None if fewer than 8 points agree on one.
 
-    Random parabolas through two points and along their directions (RANSAC, Fischler & Bolles 1981), then least squares up to a quartic in the
-    frame of its chord, so the curve may turn by less than 90 degrees from its chord. Works while the trace
-    carries at least a tenth of the strength of all ridge points.
+    Random parabolas through two points and along their directions (RANSAC, Fischler & Bolles 1981), then least squares
+    up to a quartic in the frame of its chord, so the curve may turn by less than 90 degrees from its chord. Works while
+    the trace carries at least a tenth of the strength of all ridge points, and more than any other curve.
 
     Parameters
     ----------

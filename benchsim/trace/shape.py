@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 Array = NDArray[np.float64]
 
 KNOT_STEP = (0.5, 1.5)
-"""Knots across the line [px] in the core and in the flanks: a pixel's own response holds nothing finer than the first."""
+"""Knots across the line [px], in the core and in the flanks: a pixel's response holds nothing finer than the first."""
 
 MAX_ORDER = 4
 """Highest Legendre order of the change along the line; the order used is the one of least BIC."""
@@ -32,7 +32,7 @@ _GRID_STEP = 0.05
 def legendre(t: Array, span: tuple[float, float], order: int) -> Array:
     """Legendre polynomials 0 … order of t scaled from span to [-1, 1], (..., order + 1)."""
     scaled = 2 * (np.asarray(t) - span[0]) / max(span[1] - span[0], 1e-9) - 1
-    return np.polynomial.legendre.legvander(np.clip(scaled, -1, 1), order)
+    return np.asarray(np.polynomial.legendre.legvander(np.clip(scaled, -1, 1), order), float)
 
 
 @dataclass(frozen=True)
@@ -226,9 +226,9 @@ def _finish(
 def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array) -> Array:
     """First moment beyond the core as a linear functional of the coefficients, (count,).
 
-    An edge's diffraction falls off as a/(x - e)², so what is antisymmetric in it as b/x³, and carries the moment 2b/core.
-    The two halves of the flank must agree on b; where something else shines in the flank they do not, and nothing is
-    added.
+    An edge's diffraction falls off as a/(x - e)², so what is antisymmetric in it as b/x³, and carries the moment
+    2b/core. The two halves of the flank must agree on b; where something else shines in the flank they do not, and
+    nothing is added.
     """
     reach = float(min(-x[0], x[-1]))
     cut = (core**-5 + reach**-5) / 2
