@@ -40,7 +40,7 @@ class Binned:
     s : (b,) mm
         Arc length of the bins along the trace.
     covariance : (b, b) mm²
-        Of the bin means across the curve, the camera pose's common part included.
+        Of the bin means across the curve, with what all points share.
     """
 
     weights: Array
@@ -48,33 +48,26 @@ class Binned:
     covariance: Array
 
 
-def bin_trace(s: Array, sigma: Array, common: Array | None = None, *, bins: int = 64, inflation: float = 1.0) -> Binned:
-    """Bin a trace so that its points' noise is averaged and its bins are nearly independent.
+def bin_trace(s: Array, covariance: Array, *, bins: int = 64) -> Binned:
+    """Bin a trace so that its points' noise is averaged; every bin holds as many points.
 
     Parameters
     ----------
-    s, sigma : (n,) array
-        Arc length and 1 sigma across [mm].
-    common : (n, k) array, optional
-        Factor of the covariance that the points share: theirs is diag(sigma²) + common commonᵀ [mm].
+    s : (n,) array
+        Arc length [mm].
+    covariance : (n, n) array
+        Of the points' shifts across the curve, with what they share [mm²].
     bins : int
         At most so many; never fewer than four points a bin.
-    inflation : float
-        Variance of a bin's mean over that of independent points: above 1 where neighbours are correlated.
     """
     n = len(s)
     count = max(1, min(bins, n // 4))
     which = np.empty(n, int)
     which[np.argsort(s, kind="stable")] = np.arange(n) * count // n
     weights = np.zeros((count, n))
-    weights[which, np.arange(n)] = sigma**-2.0
-    total = weights.sum(axis=1, keepdims=True)
-    weights /= total
-    covariance = np.diag(inflation / total[:, 0])
-    if common is not None:
-        shared = weights @ common
-        covariance = covariance + shared @ shared.T
-    return Binned(weights, weights @ s, covariance)
+    weights[which, np.arange(n)] = 1 / np.diag(covariance)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return Binned(weights, weights @ s, weights @ covariance @ weights.T)
 
 
 @dataclass(frozen=True)

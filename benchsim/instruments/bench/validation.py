@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchsim import rays, vector
 from benchsim.bench.curve import Curve, signed_distance
-from benchsim.bench.model import Exposure, Physics, Recording
+from benchsim.bench.model import Exposure, Physics, Recording, Screen
 from benchsim.bench.place import Placement, SettingErrors, place
 from benchsim.bench.settings import prior_sigma
 from benchsim.instruments.bench.explain import Binned, Explained, bin_trace, explain
@@ -97,7 +97,7 @@ def _rms(x: Array) -> float:
 
 
 def normal_sensitivity(placement: Placement, radius: float, points: Array, curve: Curve) -> Array:
-    """Shift of the trace across itself per lean of the mirror's normal toward its axis [mm/rad], at points on the board.
+    """Shift of the trace across itself per lean of the mirror's normal toward its axis, at points [mm/rad].
 
     The lean is the one error of the normal that a trace can show everywhere: a turn about the axis runs along it.
     """
@@ -122,9 +122,7 @@ def validate_trace(
     reseated: bool,
     points: Array,
     s: Array,
-    sigma: Array,
-    common: Array | None = None,
-    inflation: float = 1.0,
+    covariance: Array,
 ) -> ExposureValidation:
     """Compare one trace with the vector model and with the ray model.
 
@@ -136,12 +134,10 @@ def validate_trace(
         Whether the screen was moved before this exposure, so that its seat carries errors.
     points : (n, 2) array
         The trace on the board [mm].
-    s, sigma : (n,) array
-        Arc length and 1 sigma across the curve [mm].
-    common : (n, k) array, optional
-        Factor of the covariance that all points share (camera pose) [mm].
-    inflation : float
-        See :func:`~benchsim.instruments.bench.explain.bin_trace`.
+    s : (n,) array
+        Arc length [mm].
+    covariance : (n, n) array
+        Of the points' shifts across the curve, camera pose and correlated noise included [mm²].
 
     Returns
     -------
@@ -161,7 +157,7 @@ def validate_trace(
     def bench(errors: SettingErrors) -> Curve:
         return rays.predict(recording, exposure, errors, samples=64)
 
-    binned = bin_trace(s, sigma, common, inflation=inflation)
+    binned = bin_trace(s, covariance)
     prior = prior_sigma(recording.uncertainty, reseated=reseated)
     against_paper = explain(points, binned, paper, prior)
     against_bench = explain(points, binned, bench, prior)
@@ -174,7 +170,6 @@ def validate_trace(
 
     single_ray = Physics(facets=recording.mirror.shape == "polygon", beam=False, diffraction=False)
     polygon = rays.trace_curve(recording.laser, mirror, single_ray, wide, at, samples=96)
-    no_radius = {"radius": 0.0, "screen": wide, "count": 201}
     return ExposureValidation(
         name=exposure.name,
         vector=against_paper,
@@ -182,17 +177,15 @@ def validate_trace(
         binned=binned,
         mm_per_mrad=1e-3 * normal_sensitivity(at, mirror.radius, points, stated),
         polygon_mm=apart(polygon, stated),
-        radius_mm=apart(vector.trace(mirror, exposure, placement=at, **no_radius), stated),
-        radius_own_aim_mm=apart(vector.trace(mirror, exposure, **no_radius), stated),
+        radius_mm=apart(vector.trace(mirror, exposure, radius=0.0, placement=at, screen=wide), stated),
+        radius_own_aim_mm=apart(vector.trace(mirror, exposure, radius=0.0, screen=wide), stated),
         agrees=_agrees(against_paper),
         stated=stated,
     )
 
 
-def _widened(recording: Recording):  # type: ignore[no-untyped-def]
+def _widened(recording: Recording) -> Screen:
     """The board with a margin, so that models that are off by millimetres still cover the measured trace."""
-    from dataclasses import replace
-
     y, z = recording.screen.size
     return replace(recording.screen, size=(1.1 * y, 1.1 * z))
 

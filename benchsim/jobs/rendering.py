@@ -1,0 +1,147 @@
+"""``benchsim render``: a bench file becomes a recording, as a camera would photograph it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.files import read
+from benchsim.bench.model import Recording
+from benchsim.jobs.output import default_folder, output_folder
+
+Progress = Callable[[str, float], None]
+
+
+def _silent(what: str, done: float) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class RenderResult:
+    """What ``render`` wrote."""
+
+    folder: Path
+    recording: Recording
+    seed: int
+    notes: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``--json``."""
+        return {
+            "folder": str(self.folder),
+            "images": [e.image for e in self.recording.exposures],
+            "seed": self.seed,
+            "notes": list(self.notes),
+        }
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        count = len(self.recording.exposures)
+        lines = [f"{count} exposure{'s' if count > 1 else ''} rendered with seed {self.seed} into {self.folder}/"]
+        return "\n".join([*lines, *self.notes, f"next: benchsim run {self.folder}"])
+
+
+def render(
+    bench: Path | str,
+    output: Path | str | None = None,
+    *,
+    seed: int | None = None,
+    effects: Sequence[str] = (),
+    noise: bool = True,
+    setting_errors: bool = True,
+    variant: str | None = None,
+    progress: Progress = _silent,
+) -> RenderResult:
+    """Render a bench file as a recording folder.
+
+    Parameters
+    ----------
+    bench : path
+        Bench file; of a recording its images are ignored and rendered anew.
+    output : path, optional
+        Folder to write; default ``./NAME-render/``.
+    seed : int, optional
+        Of sensor noise and setting errors; default ``[render] seed``.
+    effects : sequence of str
+        ``NAME.PARAMETER=VALUE``, each overrides ``[effects]``.
+    noise : bool
+        False: no shot and read noise and no speckle.
+    setting_errors : bool
+        False: every setting exactly as stated, in place of a draw from ``[uncertainty]`` once per setting.
+    variant : str, optional
+        Mitsuba's back end.
+    progress : callable
+        Called with what is being done and the fraction done.
+
+    Returns
+    -------
+    RenderResult
+
+    Raises
+    ------
+    BenchsimError
+        If the bench cannot be used or the folder not be written.
+    """
+    source = Path(bench)
+    recording = read(source, images=False)
+    recording = replace(recording, effects=override(recording.effects, effects))
+    folder = Path(output) if output is not None else default_folder(source, "render")
+    options = {"seed": seed, "effects": list(effects), "noise": noise, "setting_errors": setting_errors}
+    with output_folder(folder, "render", [recording.path], options, recording.defaults_used) as staging:
+        rendered, notes = render_into(
+            recording,
+            staging,
+            seed=seed,
+            noise=noise,
+            setting_errors=setting_errors,
+            variant=variant,
+            progress=progress,
+        )
+    return RenderResult(folder, rendered, recording.render.seed if seed is None else seed, notes)
+
+
+def render_into(
+    recording: Recording,
+    folder: Path,
+    *,
+    seed: int | None = None,
+    noise: bool = True,
+    setting_errors: bool = True,
+    variant: str | None = None,
+    progress: Progress = _silent,
+) -> tuple[Recording, tuple[str, ...]]:
+    """Render into an existing folder; returns the recording as it was written, and what there is to say about it."""
+    from benchsim.render import backend
+    from benchsim.render.recording import render_recording
+
+    progress("testing Mitsuba's back end", 0.0)
+    backend.use(variant)
+    truth = render_recording(
+        recording, folder, seed=seed, noise=noise, setting_errors=setting_errors, progress=progress
+    )
+    return read(folder, images=True), truth.notes
+
+
+def override(effects: Mapping[str, Mapping[str, float]], changes: Sequence[str]) -> dict[str, dict[str, float]]:
+    """``[effects]`` with ``NAME.PARAMETER=VALUE`` put in.
+
+    Raises
+    ------
+    BenchsimError
+        If a change does not read so.
+    """
+    out = {name: dict(parameters) for name, parameters in effects.items()}
+    for change in changes:
+        key, _, value = change.partition("=")
+        name, _, parameter = key.strip().partition(".")
+        try:
+            number = float(value)
+        except ValueError:
+            number = float("nan")
+        if not name or not parameter or number != number or number in (float("inf"), float("-inf")):
+            raise BenchsimError(f"--effect {change}: write NAME.PARAMETER=VALUE, for instance canting.pyr=1.5")
+        out.setdefault(name, {})[parameter] = number
+    return out

@@ -1,0 +1,120 @@
+"""``benchsim run``: the main job; render (or take a recording's photographs), fit, validate, draw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import benchsim
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.files import read
+from benchsim.bench.model import Recording
+from benchsim.jobs.fitting import FitResult, fit_recording, write_fit
+from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.rendering import render_into
+from benchsim.jobs.validating import ValidationResult, validate_fit, write_validation
+
+Progress = Callable[[str, float], None]
+
+
+def _silent(what: str, done: float) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What the main job found: the fit and the validation, and where it all lies."""
+
+    folder: Path
+    rendered: bool
+    fit: FitResult
+    validation: ValidationResult
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``--json``."""
+        return {
+            "folder": str(self.folder),
+            "rendered": self.rendered,
+            "fit": self.fit.as_dict(),
+            "validation": self.validation.as_dict(),
+        }
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        return f"{self.fit.summary()}\n\n{self.validation.summary()}\n\nwritten: {self.folder}/"
+
+
+def run(
+    file: Path | str | None = None,
+    output: Path | str | None = None,
+    *,
+    variant: str | None = None,
+    progress: Progress = _silent,
+) -> RunResult:
+    """Render a bench (or take a recording's photographs), fit, validate and draw.
+
+    Parameters
+    ----------
+    file : path, optional
+        Bench file, or recording folder or file; default: both settings of Fig. 7.
+    output : path, optional
+        Default ``./NAME-run/``, ``./fig7-run/`` without a file.
+    variant : str, optional
+        Mitsuba's back end, where something is rendered.
+    progress : callable
+        Called with what is being done and the fraction done.
+
+    Returns
+    -------
+    RunResult
+
+    Raises
+    ------
+    BenchsimError
+        If the input or the folder cannot be used.
+    """
+    if file is None:
+        recording, inputs, name = *_figure7(), "fig7"
+        folder = Path(output) if output is not None else Path(f"{name}-run")
+    else:
+        source = Path(file)
+        recording = read(source)
+        inputs = [recording.path]
+        folder = Path(output) if output is not None else default_folder(source, "run")
+    photographed = [e.image is not None for e in recording.exposures]
+    if any(photographed) and not all(photographed):
+        missing = photographed.index(False) + 1
+        raise BenchsimError(
+            f"{recording.path.name}: exposure[{missing}].image: missing, while others have one; "
+            "name it, or remove all images to render the bench"
+        )
+    if all(photographed):
+        inputs += [recording.folder / name for e in recording.exposures for name in (e.image, e.dark) if name]
+    with output_folder(folder, "run", inputs, {}, recording.defaults_used) as staging:
+        if not all(photographed):
+            part = staging / "recording"
+            part.mkdir()
+            recording, _ = render_into(
+                recording, part, variant=variant, progress=lambda what, done: progress(what, 0.5 * done)
+            )
+        fitted = fit_recording(recording, progress=lambda what, done: progress(what, 0.5 + 0.2 * done))
+        write_fit(fitted, staging)
+        validation = validate_fit(fitted, progress=lambda what, done: progress(what, 0.7 + 0.2 * done))
+        progress("drawing", 0.9)
+        write_validation(validation, fitted, staging)
+        result = RunResult(folder, not all(photographed), fitted, validation)
+        (staging / "summary.txt").write_text(result.summary() + "\n", encoding="utf-8")
+    return result
+
+
+def _figure7() -> tuple[Recording, list[Path]]:
+    """Both settings of Fig. 7 as one bench, from the scenes that come with the package."""
+    package = Path(benchsim.__file__).parent
+    folder = next((f for f in (package / "scenes", package.parent / "scenes") if (f / "fig7a.toml").is_file()), None)
+    if folder is None:
+        raise BenchsimError("scenes/fig7a.toml: not found beside the package; name a bench file, or install it anew")
+    a, b = (read(folder / f"fig7{letter}.toml", images=False) for letter in "ab")
+    both = replace(a, exposures=a.exposures + b.exposures, title="Fig. 7 of Carretero et al. 2019")
+    return both, [a.path, b.path]

@@ -1,0 +1,177 @@
+"""``benchsim validate``: the traces against the vector model, in mm on the screen and mrad of mirror normal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from benchsim import trace, vector
+from benchsim.bench.files import read
+from benchsim.bench.model import Recording
+from benchsim.bench.settings import screen_seats
+from benchsim.bench.writing import write_text
+from benchsim.instruments.bench.validation import LEVEL, ExposureValidation, validate_trace
+from benchsim.jobs.fitting import FitResult, draw_overlay, fit_recording
+from benchsim.jobs.output import default_folder, output_folder
+from benchsim.report import pictures
+
+Progress = Callable[[str, float], None]
+
+
+def _silent(what: str, done: float) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class ValidationResult:
+    """The validation of every exposure that gave a trace."""
+
+    recording: Recording
+    exposures: tuple[ExposureValidation, ...]
+    lost: tuple[str, ...]
+    folder: Path | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``validation.json``."""
+        return {
+            "format": "benchsim-validation/1",
+            "model": "vector model of Carretero et al. 2019 with the mirror's own r",
+            "level": LEVEL,
+            "exposures": [v.as_dict() for v in self.exposures],
+            "lost": list(self.lost),
+            "defaults_used": list(self.recording.defaults_used),
+        }
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        lines = ["against the vector model          stated setting       settings fitted          p   agrees"]
+        words = {True: "yes", False: "no", None: "cannot tell"}
+        for v in self.exposures:
+            row = v.as_dict()
+            before, after = row["before"], row["after"]
+            lines.append(
+                f"{v.name:<24}{before['rms_mm']:9.3f} mm {before['rms_mrad']:6.3f} mrad"
+                f"{1e3 * after['rms_mm']:9.1f} µm {1e3 * after['rms_mrad']:6.2f} µrad"
+                f"{after['p_value']:9.3f}   {words[v.agrees]}"
+            )
+        lines.append("of it, rms along the traces: ")
+        for v in self.exposures:
+            lines.append(
+                f"{v.name:<24}the polygon {v.polygon_mm:.3f} mm; r = {self.recording.mirror.radius:.1f} mm neglected: "
+                f"{v.radius_mm:.2f} mm with the normal kept, {v.radius_own_aim_mm:.3f} mm if aimed without it"
+            )
+        lines += [f"lost: {sentence}" for sentence in self.lost]
+        if self.folder is not None:
+            lines.append(f"written: {self.folder}/")
+        return "\n".join(lines)
+
+
+def validate(
+    recording: Path | str, output: Path | str | None = None, *, progress: Progress = _silent
+) -> ValidationResult:
+    """Compare every trace of a recording with the vector model.
+
+    Parameters
+    ----------
+    recording : path
+        Recording folder or file.
+    output : path, optional
+        Default ``./NAME-validate/``.
+    progress : callable
+        Called with what is being done and the fraction done.
+
+    Returns
+    -------
+    ValidationResult
+
+    Raises
+    ------
+    BenchsimError
+        If the recording or the folder cannot be used, or no exposure gives a trace.
+    """
+    source = Path(recording)
+    folder = Path(output) if output is not None else default_folder(source, "validate")
+    checked = read(source, images=True)
+    images = [checked.folder / n for e in checked.exposures for n in (e.image, e.dark) if n]
+    with output_folder(folder, "validate", [checked.path, *images], {}, checked.defaults_used) as staging:
+        fitted = fit_recording(checked, progress=lambda what, done: progress(what, 0.5 * done))
+        found = validate_fit(fitted, progress=lambda what, done: progress(what, 0.5 + 0.4 * done))
+        result = ValidationResult(found.recording, found.exposures, found.lost, folder)
+        write_validation(result, fitted, staging)
+    return result
+
+
+def validate_fit(fitted: FitResult, *, progress: Progress = _silent) -> ValidationResult:
+    """Validate the traces of a fit."""
+    seats = screen_seats(fitted.recording.exposures)
+    out = []
+    for k, f in enumerate(fitted.fitted):
+        progress(f"validating {f.exposure.name}", k / len(fitted.fitted))
+        main = trace.only_ridge(f.trace, 0)
+        out.append(
+            validate_trace(
+                fitted.recording,
+                f.exposure,
+                reseated=seats[f.index] > 0,
+                points=main.points,
+                s=main.s_mm,
+                covariance=trace.covariance(main),
+            )
+        )
+    return ValidationResult(fitted.recording, tuple(out), fitted.lost)
+
+
+def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) -> None:
+    """Write ``validation.json``, ``residuals.png``, ``fig8.png`` and the overlays."""
+    write_text(folder / "validation.json", json.dumps(result.as_dict(), indent=1) + "\n")
+    traces, notes = [], []
+    for v, f in zip(result.exposures, fitted.fitted, strict=True):
+        main = trace.only_ridge(f.trace, 0)
+        before, after = v.vector.before, v.vector.after
+        weights = v.binned.weights
+        order = np.argsort(v.binned.s)
+        traces.append(
+            pictures.Trace2D(
+                name=v.name,
+                points=main.points,
+                s=main.s_mm,
+                before=before,
+                after=after,
+                bin_s=v.binned.s[order],
+                bin_before=(weights @ before)[order],
+                bin_after=(weights @ after)[order],
+                bin_sigma=np.sqrt(np.diag(v.binned.covariance))[order],
+                mrad_per_mm=float(1 / np.median(v.mm_per_mrad)),
+                stated=v.stated.points,
+                explained=v.vector.curve.points,
+                caption=_caption(v),
+            )
+        )
+        conic = vector.trace_conic(result.recording.mirror, f.exposure)
+        notes.append(
+            f"C = {_cm(f.exposure.mirror_position)} cm, azimuth {np.degrees(f.exposure.laser_azimuth):.0f}°, "
+            f"elevation {np.degrees(f.exposure.laser_elevation):.0f}°\n"
+            f"{conic.geometry.kind}, focus toward {conic.focus_side.replace('-', '−')}"
+        )
+        draw_overlay(result.recording, f, v.stated.points, v.vector.curve.points, folder)
+    title = result.recording.title or result.recording.folder.name
+    pictures.residuals(folder / "residuals.png", traces, f"{title}: distance of the trace from the vector model")
+    cylinder = result.recording.mirror.stands_for
+    footer = f"{title}: measured and simulated projections; {cylinder} cylinder, board seen from the mirror's side (+y right)"
+    pictures.figure8(folder / "fig8.png", traces, result.recording.screen.size, notes, footer)
+
+
+def _caption(v: ExposureValidation) -> str:
+    p = float(chi2_distribution.sf(v.vector.chi2_after, v.vector.dof))
+    agrees = {True: "agrees", False: "disagrees", None: "cannot tell"}[v.agrees]
+    return f"χ² {v.vector.chi2_after:.0f} of {v.vector.dof}, p = {p:.2f}, {agrees}"
+
+
+def _cm(position: tuple[float, float, float]) -> str:
+    return "(" + ", ".join(f"{x / 10:g}".replace("-", "−") for x in position) + ")"
