@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from benchsim import trace, vector
+from benchsim.bench.curve import Curve
 from benchsim.bench.files import read
-from benchsim.bench.model import Recording
+from benchsim.bench.model import Recording, Screen
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.writing import write_text
 from benchsim.instruments.bench.validation import LEVEL, ExposureValidation, validate_trace
@@ -131,6 +133,7 @@ def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) 
     """Write ``validation.json``, ``residuals.png``, ``fig8.png`` and the overlays."""
     write_text(folder / "validation.json", json.dumps(result.as_dict(), indent=1) + "\n")
     traces, notes = [], []
+    screen = result.recording.screen
     for v, f in zip(result.exposures, fitted.fitted, strict=True):
         main = trace.only_ridge(f.trace, 0)
         before, after = v.vector.before, v.vector.after
@@ -138,7 +141,7 @@ def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) 
         order = np.argsort(v.binned.s)
         traces.append(
             pictures.Trace2D(
-                name=v.name,
+                name=f"{f.exposure.setting} ({v.name})",
                 points=main.points,
                 s=main.s_mm,
                 before=before,
@@ -148,8 +151,8 @@ def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) 
                 bin_after=(weights @ after)[order],
                 bin_sigma=np.sqrt(np.diag(v.binned.covariance))[order],
                 mrad_per_mm=float(1 / np.median(v.mm_per_mrad)),
-                stated=v.stated.points,
-                explained=v.vector.curve.points,
+                stated=_on_board(v.stated, screen),
+                explained=_on_board(v.vector.curve, screen),
                 caption=_caption(v),
             )
         )
@@ -159,12 +162,18 @@ def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) 
             f"elevation {np.degrees(f.exposure.laser_elevation):.0f}°\n"
             f"{conic.geometry.kind}, focus toward {conic.focus_side.replace('-', '−')}"
         )
-        draw_overlay(result.recording, f, v.stated.points, v.vector.curve.points, folder)
+        draw_overlay(result.recording, f, traces[-1].stated, traces[-1].explained, folder)
     title = result.recording.title or result.recording.folder.name
     pictures.residuals(folder / "residuals.png", traces, f"{title}: distance of the trace from the vector model")
     cylinder = result.recording.mirror.stands_for
     footer = f"{title}: measured and simulated projections; {cylinder} cylinder, board seen from the mirror's side (+y right)"
     pictures.figure8(folder / "fig8.png", traces, result.recording.screen.size, notes, footer)
+
+
+def _on_board(curve: Curve, screen: Screen) -> NDArray[np.float64]:
+    """Points of a model's curve within the board; the models run a little past it."""
+    inside = (np.abs(curve.points) <= np.asarray(screen.size) / 2).all(axis=1)
+    return curve.points[inside]
 
 
 def _caption(v: ExposureValidation) -> str:

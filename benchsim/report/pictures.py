@@ -1,7 +1,7 @@
 """The pictures of a fit and a validation: overlay, residuals along the curve, Fig. 8.
 
-Every function takes finished arrays, draws one figure and writes it under a temporary name before it is moved. No global
-state: figures are made without pyplot.
+Every function takes finished arrays, draws one figure and writes it under a temporary name before it is moved. Figures
+are made without pyplot's global state.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ def overlay(
     light : (h, w) array
         The photograph, any scale.
     outlines : (n, 4, 2) array [px]
-        Corners of the marks that were found.
+        Corners of the board's marks, where the solved pose puts them.
     ridge : (m, 2) array [px]
         The extracted trace.
     stated, explained : (k, 2) arrays [px], optional
@@ -110,7 +110,7 @@ def overlay(
         for axes in [main, *details]:
             axes.plot(*points.T, color=colour, linewidth=1.3, label=label, dashes=dashes)
     main.plot(*ridge.T, color=MEASURED, linewidth=0.7, label="extracted ridge")
-    main.plot([], [], color=MARKS, linewidth=0.9, label=f"marks found ({len(outlines)})")
+    main.plot([], [], color=MARKS, linewidth=0.9, label="marks, by the solved pose")
     main.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
     main.legend(loc="lower right", fontsize=8, framealpha=0.9)
     half = max(10.0, 0.012 * width)
@@ -125,9 +125,7 @@ def overlay(
     _save(figure, path)
 
 
-def _square(u: float, v: float, half: float):  # type: ignore[no-untyped-def]
-    from matplotlib.patches import Rectangle
-
+def _square(u: float, v: float, half: float) -> Rectangle:
     return Rectangle((u - half, v - half), 2 * half, 2 * half, fill=False, edgecolor="white", linewidth=0.8)
 
 
@@ -144,7 +142,7 @@ def residuals(path: Path, traces: Sequence[Trace2D], title: str) -> None:
         top.axhline(0, color=GREY, linewidth=0.6)
         top.set_ylabel("stated setting\ndistance (mm)")
         top.set_title(f"{t.name}: {t.caption}", fontsize=9)
-        top.xaxis.set_major_formatter(NullFormatter())
+        top.tick_params(labelbottom=False)
         bottom.fill_between(t.bin_s, -t.bin_sigma, t.bin_sigma, color="#cfe8d5", label="±1σ of a bin", linewidth=0)
         bottom.plot(t.s, t.after, ".", color="#b9b9b9", markersize=1.2, label="profiles", zorder=1)
         bottom.plot(t.bin_s, t.bin_after, "o-", color=EXPLAINED, markersize=2.5, linewidth=0.8, label="bins")
