@@ -1,10 +1,10 @@
 """Are the p-values of ``validate`` uniform on clean recordings?
 
-Every case is a recording of one exposure: a setting drawn about those of ``scenes/campaign12.toml``, setting errors from
-its ``[uncertainty]``, rendered, read back and compared with the vector model (as ``validate`` does) and with the ray
-model. On clean recordings the p-values after the setting errors must be uniform: Kolmogorov-Smirnov at 1 %.
+Every case is a recording of one exposure: a setting drawn about those of ``scenes/campaign12.toml``, setting errors
+from its ``[uncertainty]``, rendered, read back and compared with the vector model (as ``validate`` does) and with the
+ray model. On clean recordings the p-values after the setting errors must be uniform: Kolmogorov-Smirnov at 1 %.
 
-Each case is written as it ends; a stopped study resumes. Prints both tests and the spread of the pulls.
+Each case is written as it ends; a stopped study resumes. Prints both tests and the spread of the setting errors found.
 """
 
 from __future__ import annotations
