@@ -24,18 +24,23 @@ def darker(picture: Picture, band: Band, board: Mask) -> Mask:
         return np.zeros(board.shape, bool)
     light = np.asarray(band.take(picture.signal), float)
     level = ndimage.median_filter(row_median(np.where(board, light, np.nan)), 101, mode="nearest")[:, None]
-    sigma = 1.4826 * np.median(np.abs((light - level)[board])) if board.any() else 0.0
+    off: Array = light - level
+    sigma = 1.4826 * float(np.median(np.abs(off[board]))) if board.any() else 0.0
     dark = np.zeros(picture.signal.shape, np.uint8)
-    hit = band.inside & (light < level - 5 * sigma)
+    hit = band.inside & (off < -5 * sigma)
     dark[band.v[hit], band.u[hit]] = 1
     return band.take(cv2.dilate(dark, np.ones((5, 5), np.uint8)).astype(bool)) & band.inside
 
 
 def row_median(light: Array) -> Array:
     """Median of each row, nan left out; 0 for a row of nothing else."""
-    empty = ~np.isfinite(light).any(axis=1)
-    filled = np.where(empty[:, None], 0.0, light)
-    return np.nanmedian(filled, axis=1)
+    known = np.isfinite(light)
+    count = known.sum(axis=1)
+    # Unknown ones sort to the end.
+    ordered = np.sort(np.where(known, light, np.inf), axis=1)
+    row, middle = np.arange(len(light)), np.maximum(count - 1, 0) / 2
+    median = (ordered[row, np.floor(middle).astype(int)] + ordered[row, np.ceil(middle).astype(int)]) / 2
+    return np.where(count > 0, median, 0.0)
 
 
 def slope_across(

@@ -272,8 +272,8 @@ def _picture(photograph: Photograph, dark: Photograph | None, blocked: NDArray[n
 def _lines(name: str, picture: Picture, most: int) -> tuple[list[Line], NDArray[np.intp], Array]:
     """Ridges by falling flux; status and place of the profiles dropped from them."""
     lines: list[Line] = []
+    points = ridge_points(picture.signal, picture.blocked == KEPT)
     for number in range(most):
-        points = ridge_points(picture.signal, picture.blocked == KEPT)
         coarse = best_curve(points)
         if coarse is None:
             if number == 0:
@@ -292,6 +292,7 @@ def _lines(name: str, picture: Picture, most: int) -> tuple[list[Line], NDArray[
         lines.append(line)
         if number + 1 < most:
             picture = replace(picture, blocked=_without(picture.blocked, line))
+            points = points.where(picture.blocked == KEPT)
     lines.sort(key=lambda x: -float(x.flux.sum()))
     return (
         lines,

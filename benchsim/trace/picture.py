@@ -43,9 +43,9 @@ class Picture:
     """What the ridge is measured in, all (h, w).
 
     ``signal``: laser light, dark subtracted if there is one. ``pedestal``: smooth light that adds to the noise besides
-    the signal's own: twice the dark picture's, which is under the signal and was subtracted; 0 without one. ``blocked``:
-    `KEPT`, or the status of a profile whose window lies here. ``saturated``. ``ceiling``: light at which a pixel
-    saturates. ``dark``: whether a dark picture was subtracted.
+    the signal's own: twice the dark picture's, which is under the signal and was subtracted; 0 without one.
+    ``blocked``: `KEPT`, or the status of a profile whose window lies here. ``saturated``. ``ceiling``: light at which a
+    pixel saturates. ``dark``: whether a dark picture was subtracted.
     """
 
     signal: Image

@@ -50,6 +50,12 @@ class RidgePoints:
     strength: Array
     reduction: float
 
+    def where(self, usable: Mask) -> RidgePoints:
+        """Those on usable pixels (h, w)."""
+        u, v = np.clip(np.round(self.uv).astype(int), 0, np.array(usable.shape)[::-1] - 1).T
+        keep = usable[v, u]
+        return RidgePoints(self.uv[keep], self.direction[keep], self.strength[keep], self.reduction)
+
 
 def ridge_points(picture: NDArray[np.floating], usable: Mask | None = None) -> RidgePoints:
     """Points on bright ridges that noise does not explain.

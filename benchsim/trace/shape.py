@@ -14,19 +14,26 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.linalg import cho_factor, cho_solve
 
+from benchsim.trace.band import interpolate
+
 Array = NDArray[np.float64]
 
 KNOT_STEP = (0.5, 1.5)
 """Knots across the line [px], in the core and in the flanks: a pixel's response holds nothing finer than the first."""
 
-MAX_ORDER = 4
+MAX_ORDER = 3
 """Highest Legendre order of the change along the line; the order used is the one of least BIC."""
 
 CHANGE = 0.3
 """1 sigma of the prior on each term of change along the line, in units of the peak: holds what saturation hides."""
 
+LOPSIDED = 0.5
+"""Largest |I₁ - I₂| / (I₁ + I₂) of the light at the two edges that bend it: a threefold difference, as behind a mirror
+that stands a third of the beam's diameter off its axis."""
+
 _NODES = 33
 _GRID_STEP = 0.05
+_TABLE_STEP = 0.02  # linear interpolation in it errs by 1e-5 of the peak
 
 
 def legendre(t: Array, span: tuple[float, float], order: int) -> Array:
@@ -41,8 +48,11 @@ class Shape:
 
     Attributes
     ----------
-    spline : BSpline
-        Values (order + 1,): the coefficients of the Legendre terms along the line, before normalisation.
+    table : (n, 2 (order + 1)) array
+        At x from -``half_width`` on in fine steps: coefficients of the Legendre terms along the line, before
+        normalisation, and their derivatives by x.
+    order : int
+        Legendre order of the change along the line.
     span : (low, high) px
         Range of t.
     core : float
@@ -58,7 +68,8 @@ class Shape:
         Shift of the centroid [px] per slope left in the background, light/px over flux [1/px²].
     """
 
-    spline: BSpline
+    table: Array
+    order: int
     span: tuple[float, float]
     core: float
     half_width: float
@@ -69,22 +80,13 @@ class Shape:
     factor: Array
     slope_response: float
 
-    @property
-    def order(self) -> int:
-        """Legendre order of the change along the line."""
-        return self.spline.c.shape[1] - 1
-
     def evaluate(self, x: Array, t: Array) -> tuple[Array, Array]:
         """P and dP/dx at x (k, m) of profiles at t (k,)."""
         terms = legendre(t, self.span, self.order) / self.integral(t)[:, None]
-        inside = np.abs(x) <= self.half_width
-        at = np.clip(x, -self.half_width, self.half_width).ravel()
-        value = self.spline(at).reshape(*x.shape, -1)
-        slope = self.spline(at, 1).reshape(*x.shape, -1)
-        return (
-            np.where(inside, np.einsum("kmj,kj->km", value, terms), 0.0),
-            np.where(inside, np.einsum("kmj,kj->km", slope, terms), 0.0),
-        )
+        both = interpolate(self.table, (x + self.half_width) / _TABLE_STEP)
+        both[np.abs(x) > self.half_width] = 0.0
+        n = self.order + 1
+        return np.einsum("kmj,kj->km", both[..., :n], terms), np.einsum("kmj,kj->km", both[..., n:], terms)
 
     def centroid_factor(self, t: Array) -> Array:
         """Error of the centroid at t (k,) per unit normal, (k, r) [px]."""
@@ -160,7 +162,8 @@ def _normal_equations(
     starts = np.flatnonzero(np.diff(first, prepend=-1))
     at = first[starts]
     pairs = [(j, i) for j in range(k) for i in range(j, k)]
-    products = np.stack([terms[:, j] * terms[:, i] for j, i in pairs], axis=1)
+    first_term, second_term = np.array(pairs).T
+    products = terms[:, first_term] * terms[:, second_term]
     normal = np.zeros((k, k, count, count))
     right = np.zeros((k, count))
     for a in range(4):
@@ -192,7 +195,9 @@ def _finish(
     level = basis[np.abs(grid - middle) > core].mean(axis=0)
     c = c - (level @ c)[None, :]
     count, k = c.shape
-    tail = _tail(grid - middle, basis, core, c, covariance)
+    high = grid[rough > rough.max() / 2]
+    edge = (high[-1] - high[0]) / 2 if len(high) else 0.0
+    tail, share = _tail(grid - middle, basis, core, c[:, 0], covariance[:count, :count], edge)
     nodes = np.linspace(*span, _NODES)
     terms = legendre(nodes, span, k - 1)
     light = (basis @ c) @ terms.T
@@ -206,46 +211,59 @@ def _finish(
     second = np.maximum((window * light * offset**2).sum(axis=0) / total, 1e-12)
     skew = (window * light * offset**3).sum(axis=0) / total / second**1.5
     inner_window = np.clip((core - np.abs(grid - centre.mean())) / step + 0.5, 0, 1) * (grid - centre.mean()) * step
-    pull = inner_window @ basis - inner_window.sum() * level + tail
-    spread = np.einsum("a,jaib,b->ji", pull, covariance.reshape(k, count, k, count), pull)
+    pull = np.tile(inner_window @ basis - inner_window.sum() * level, (k, 1))
+    pull[0] += share * tail
+    spread = np.einsum("ja,jaib,ib->ji", pull, covariance.reshape(k, count, k, count), pull)
     value, vector = np.linalg.eigh((spread + spread.T) / 2)
+    spline, fine = BSpline(knots, c, 3), np.arange(-half_width, half_width + _TABLE_STEP, _TABLE_STEP)
     return Shape(
-        BSpline(knots, c, 3),
+        np.concatenate([spline(fine), spline(fine, 1)], axis=1),
+        k - 1,
         span,
         core,
         half_width,
         CubicSpline(nodes, total * step),
-        CubicSpline(nodes, centre + terms @ (tail @ c) / (total * step)),
+        CubicSpline(nodes, centre + share * float(tail @ c[:, 0]) / (total * step)),
         CubicSpline(nodes, width),
         CubicSpline(nodes, skew),
         vector * np.sqrt(np.maximum(value, 0.0)),
-        float(pull @ ((knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3)),  # a line's coefficients: Greville's abscissae
+        float(pull[0] @ ((knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3)),  # a line's coefficients: Greville's abscissae
     )
 
 
-def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array) -> Array:
-    """First moment beyond the core as a linear functional of the coefficients, (count,).
+def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array, edge: float) -> tuple[Array, float]:
+    """First moment beyond the core, as a linear functional of the mean shape's coefficients and the share that counts.
 
-    An edge's diffraction falls off as a/(x - e)², so what is antisymmetric in it as b/x³, and carries the moment
-    2b/core. The two halves of the flank must agree on b; where something else shines in the flank they do not, and
-    nothing is added.
+    Light bent at edges e = ±``edge`` falls off as Σ a_i/(x - e_i)²: a/x² + b/x³ with a ≥ 0 and |b| ≤ 2 a ``edge`` times
+    `LOPSIDED`, and beyond the core carries the moment 2b/core. b is held to that bound: a line without such tails gets
+    no correction and none of its noise. Where b breaks the bound by 3 sigma, or the two halves of the flank disagree on
+    it by 5, the tails are not an edge's and nothing is added.
+
+    Returns
+    -------
+    functional : (count,) ndarray
+    share : float
+        1 within the bound, less where it is held, 0 where it is refused.
     """
     reach = float(min(-x[0], x[-1]))
     cut = (core**-5 + reach**-5) / 2
+    far = np.maximum(np.abs(x), core)
     near = (np.abs(x) > core) & (np.abs(x) <= reach)
     parts = []
-    for part in (near & (np.abs(x) ** -5.0 >= cut), near & (np.abs(x) ** -5.0 < cut)):
-        h = np.where(part, np.sign(x) / np.maximum(np.abs(x), core) ** 3, 0.0)
+    for part in (near & (far**-5.0 >= cut), near & (far**-5.0 < cut)):
+        h = np.where(part, np.sign(x) / far**3, 0.0)
         parts.append(h @ basis / max(float(h @ h), 1e-300))
-    difference = parts[0] - parts[1]
-    mean = (parts[0] + parts[1]) / 2
-    count = len(mean)
-    for j in range(c.shape[1]):
-        block = covariance[j * count : (j + 1) * count, j * count : (j + 1) * count]
-        sigma = np.sqrt(max(float(difference @ block @ difference), 0.0))
-        if abs(difference @ c[:, j]) > 5 * sigma + 0.5 * abs(mean @ c[:, 0]):
-            return np.zeros(count)
-    return mean * 2 / core
+    mean, difference = (parts[0] + parts[1]) / 2, parts[0] - parts[1]
+
+    def sigma(functional: Array) -> float:
+        return float(np.sqrt(max(float(functional @ covariance @ functional), 0.0)))
+
+    b = float(mean @ c)
+    even = np.stack([np.ones(near.sum()), far[near] ** -2.0], axis=1)
+    bound = 2 * LOPSIDED * edge * max(float(np.linalg.lstsq(even, (basis @ c)[near], rcond=None)[0][1]), 0.0)
+    disagree = abs(float(difference @ c)) > 5 * sigma(difference) + 0.5 * abs(b)
+    share = 0.0 if disagree or abs(b) > bound + 3 * sigma(mean) else min(1.0, bound / max(abs(b), 1e-300))
+    return mean * 2 / core, share
 
 
 def _adaptive_width(offset: Array, light: Array) -> Array:
