@@ -34,12 +34,12 @@ def _silent(what: str, done: float) -> None:
 
 @dataclass(frozen=True)
 class FittedExposure:
-    """One exposure: its trace, its conics by ridge, and the bench's own cone through the main ridge."""
+    """One exposure: its trace, a free conic through each ridge, and the bench's own cone through the main one."""
 
     exposure: Exposure
     index: int
     trace: trace.Trace
-    conics: dict[int, conics.ConicFit]
+    free: dict[int, conics.ConicFit]
     cone: conics.SectionFit | None
 
 
@@ -56,7 +56,7 @@ class FitResult:
         """Plain values for ``conics.json``."""
         rows = []
         for f in self.fitted:
-            for ridge, found in f.conics.items():
+            for ridge, found in f.free.items():
                 row = {"exposure": f.exposure.name, "ridge": ridge, **conics.to_dict(found)}
                 if ridge == 0 and f.cone is not None:
                     row["cone"] = conics.to_dict(f.cone)
@@ -77,7 +77,7 @@ class FitResult:
 
 
 def _describe(f: FittedExposure) -> list[str]:
-    t, main = f.trace, f.conics[0]
+    t, main = f.trace, f.free[0]
     sigma = np.median(t.sigma_mm[t.ridge == 0])
     known = conics.invariants(main)
     lines = [
@@ -186,7 +186,7 @@ def _fit_pixels(path: Path, folder: Path) -> PixelFit:
         rows = [",".join(["0", *(f"{value:.9g}" for value in row)]) for row in zip(*columns, strict=True)]
         write_text(staging / "trace.csv", "\n".join([header, *rows]) + "\n")
         write_text(staging / "conics.json", json.dumps(result.as_dict(), indent=1) + "\n")
-        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH).astype(float)
+        picture = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH), float)
         pictures.overlay(
             staging / f"overlay-{path.stem}.png", picture, np.zeros((0, 4, 2)), found.points, None, None, path.name
         )
@@ -244,6 +244,7 @@ def _fit_cone(
     mirror = recording.mirror
     # The stretch of phases that the nominal trace spends on the board: enough to fix the conic to its last digits.
     phases = vector.trace(mirror, exposure, screen=recording.screen, count=25).phase
+    assert phases is not None
 
     def predicted(theta: Array) -> Array:
         errors = np.zeros(len(NAMES))
@@ -273,7 +274,7 @@ def draw_overlay(
     setting = f"setting {f.exposure.setting}, camera {f.exposure.camera}"
     pictures.overlay(
         folder / f"overlay-{Path(f.exposure.image).stem}.png",
-        photograph.light,
+        np.asarray(photograph.light, float),
         trace.to_pixels(pose, trace.board_corners(recording.screen.marks)),
         np.column_stack([main.u_px, main.v_px]),
         None if stated is None else trace.to_pixels(pose, stated),

@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from operator import mul
 from pathlib import Path
 
 import numpy as np
@@ -156,7 +158,7 @@ def residuals(path: Path, traces: Sequence[Trace2D], title: str) -> None:
         for axes in (top, bottom):
             _plain(axes)
             k = t.mrad_per_mm
-            side = axes.secondary_yaxis("right", functions=(lambda mm, k=k: mm * k, lambda mrad, k=k: mrad / k))
+            side = axes.secondary_yaxis("right", functions=(partial(mul, k), partial(mul, 1 / k)))
             side.set_ylabel("of the normal (mrad)", fontsize=8)
             side.tick_params(labelsize=8)
     figure.suptitle(title, fontsize=11)
