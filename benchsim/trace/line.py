@@ -276,6 +276,7 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
         status[stray] = STRAY
         kept = require(status)
     k = np.flatnonzero(kept)
+    sigma = sigma * _flank_scale(saturated > 0, kept, pull)
     noise = centre_noise(t[k], offset[k], sigma[k], spline_basis(t[k], span, 40.0))
     sigma = sigma[k] * noise.scale
     factor = [_beyond_shifts(shape, t[k], sigma / zoom[k], noise) * zoom[k, None]]
@@ -303,6 +304,18 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
         curve=curve,
         span=span,
     )
+
+
+def _flank_scale(clipped: Mask, kept: Mask, pull: Array) -> Array:
+    """Scatter of profiles with saturated pixels over that of the others, 1 for the others (k,).
+
+    Placed by their flanks, they feel what is wrong with the shape and the noise there more. Needs 30 of either kind.
+    """
+    out = np.ones(len(kept))
+    hit, free = kept & clipped, kept & ~clipped
+    if min(hit.sum(), free.sum()) >= 30:
+        out[hit] = np.sqrt(np.mean(pull[hit] ** 2) / np.mean(pull[free] ** 2))
+    return out
 
 
 def _misshapen(profiles: Profiles, among: Mask) -> Mask:
