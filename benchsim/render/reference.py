@@ -17,8 +17,8 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Exposure, Mirror, Recording
 from benchsim.bench.place import Placement, camera_pose, place
 from benchsim.render import backend, plugins
-from benchsim.render.irradiance import sweep
 from benchsim.render.laser import perpendicular
+from benchsim.render.sweep import sweep
 
 __all__ = ["facet_shapes", "plugins", "render", "rotor_frame", "scene_xml"]
 

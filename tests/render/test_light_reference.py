@@ -63,8 +63,8 @@ def rendered():
 
 
 def test_fast_path_and_reference_draw_the_same_picture(rendered):
-    """Rationale: two tracers with nothing in common but the bench. The fast path samples the facet and bins on the board
-    in differences from one ray; the reference sends rays from the laser through Mitsuba's shapes to its camera.
+    """Rationale: two tracers with nothing in common but the bench. The fast path samples the facet and bins on the
+    board in differences from one ray; the reference sends rays from the laser through Mitsuba's shapes to its camera.
 
     Set-up: 16 pictures of each, their scatter is the noise; Welch's test in every lit pixel, Šidák-corrected.
     Expectation: no pixel differs, at a false-alarm rate of 1 % for the picture; nor does the whole light by 0.1 %.

@@ -9,7 +9,8 @@ from light_settings import bench, errors, world_trace
 
 from benchsim.bench.place import place
 from benchsim.render import backend
-from benchsim.render.irradiance import Tracer, sweep
+from benchsim.render.sweep import sweep
+from benchsim.render.tracer import Tracer
 
 
 def traced(recording, placement, n=1 << 16, seed=0):

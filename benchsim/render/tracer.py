@@ -1,0 +1,134 @@
+"""The kernel: uniform numbers in, hits on the board out, float32, in Dr.Jit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from benchsim.render.diffraction import Pattern
+from benchsim.render.laser import density, perpendicular
+from benchsim.render.mirror import from_facet, single_ray
+from benchsim.render.sweep import Sweep, nu_and_beta
+
+
+def opaque(value: float) -> Any:
+    # As a variable rather than a literal, so that the kernel is compiled once for all exposures.
+    return dr.opaque(mi.Float, float(value))
+
+
+def opaque_uint(value: int) -> Any:
+    return dr.opaque(mi.UInt32, value)
+
+
+def _kronecker(dimensions: int) -> list[int]:
+    """Steps of a Kronecker sequence by powers of the generalised golden ratio (x^(d+1) = x + 1), in units of 2^-32."""
+    if dimensions == 0:
+        return []
+    ratio = float(np.max(np.roots([1.0, *[0.0] * (dimensions - 1), -1.0, -1.0]).real))
+    return [round(2**32 * ratio ** -(k + 1)) | 1 for k in range(dimensions)]
+
+
+class _Tables:
+    """The pattern of diffraction where the kernel can read it."""
+
+    def __init__(self, p: Pattern) -> None:
+        self.nodes, self.cells, self.terms = p.weights.shape
+        self.edges = mi.Float(np.stack([p.edges[:-1], np.diff(p.edges)], axis=-1).astype(np.float32).ravel())
+        self.weights = mi.Float(p.weights.astype(np.float32).ravel())
+        self.nu0 = opaque(p.nu[0])
+        self.nu_scale = opaque((self.nodes - 1) / (p.nu[-1] - p.nu[0]))
+        low, high = p.beta
+        self.beta0, self.beta_scale = opaque((low + high) / 2), opaque(2 / (high - low))
+
+    def sample(self, v: Any, nu: Any, beta: Any) -> tuple[Any, Any]:
+        """h' [mm] and its weight."""
+        x = v * self.cells
+        cell = mi.UInt32(x)
+        edge = dr.gather(mi.Vector2f, self.edges, cell)
+        h = dr.fma(x - mi.Float(cell), edge.y, edge.x)
+        node = mi.UInt32(dr.clip(dr.fma(nu - self.nu0, self.nu_scale, 0.5), 0.0, self.nodes - 0.5))
+        packets = self.terms // 4
+        at = (node * self.cells + cell) * packets
+        terms = [x for k in range(packets) for x in dr.gather(mi.Vector4f, self.weights, at + k)]
+        b = dr.clip((beta - self.beta0) * self.beta_scale, -1.0, 1.0)
+        weight = terms[self.terms - 1]
+        for k in reversed(range(self.terms - 1)):
+            weight = dr.fma(weight, b, terms[k])
+        return h, weight
+
+
+class Tracer:
+    """The kernel of one exposure: uniform numbers in, hits on the board out, float32."""
+
+    def __init__(self, s: Sweep) -> None:
+        self.sweep = s
+        self.optics = s.optics.map(opaque)
+        self.half_range, self.shear = opaque(s.half_range), opaque(s.shear)
+        self.tables = None if s.pattern is None else _Tables(s.pattern)
+        self.wavelength = opaque(s.wavelength)
+        u, v = perpendicular(np.array(s.optics.beam.direction))
+        self.plane = tuple(tuple(opaque(x) for x in axis) for axis in (u, v))
+        self.blur = opaque(s.blur)
+        self.dimensions = 1 if not s.beam else (5 if s.blur > 0 else 3)
+
+    def __call__(self, u: list[Any]) -> tuple[Any, Any, Any, Any, tuple[Any, Any, Any]]:
+        """Trace rays.
+
+        Parameters
+        ----------
+        u : list of ``dimensions`` arrays in [0, 1)
+
+        Returns
+        -------
+        y, z : mm
+        weight : 1/mm² of the facet with a beam, else 1
+        arrives : mask
+        sample : (δ, t, h) of the ray [rad, mm, mm]
+        """
+        o, s = self.optics, self.sweep
+        delta = dr.fma(2.0 * u[0], self.half_range, -self.half_range)
+        if not s.beam:
+            hit = single_ray(o, delta, dr, facets=s.facets)
+            on = hit.arrives
+            if s.facets:
+                # The facet's ends hand over to the next one; its height is ignored, or setting errors of 1 mm would
+                # lose the ray.
+                on &= dr.abs(hit.t) <= o.half_width
+            return hit.y, hit.z, mi.Float(1.0) + 0.0 * hit.y, on, (delta, hit.t, hit.h)
+        t = dr.fma(2.0 * u[1], o.half_width, -o.half_width) if s.facets else mi.Float(0.0)
+        delta = dr.fma(self.shear, t, delta)
+        jitter = None
+        if s.blur > 0:
+            # Box-Muller; 1 − u lies in (0, 1].
+            r = self.blur * dr.sqrt(-2.0 * dr.log(1.0 - u[3]))
+            sine, cosine = dr.sincos(2.0 * dr.pi * u[4])
+            jitter = (*self.plane, r * cosine, r * sine)
+        if self.tables is None:
+            h = dr.fma(2.0 * u[2], o.half_height, -o.half_height)
+            hit = from_facet(o, delta, t, h, dr, jitter)
+            weight = density(o.beam, hit.rho, hit.spread, dr.exp) * -hit.falling
+        else:
+            centre = from_facet(o, delta, t, mi.Float(0.0), dr, jitter)
+            h, share = self.tables.sample(u[2], *nu_and_beta(o, centre, self.wavelength))
+            hit = from_facet(o, delta, t, h, dr, jitter)
+            weight = density(o.beam, centre.rho, centre.spread, dr.exp) * -centre.falling * share
+        return hit.y, hit.z, weight, hit.arrives, (delta, t, h)
+
+    def points(self, n: int, rng: np.random.Generator) -> list[Any]:
+        """n points of a randomly shifted lattice, as ``dimensions`` arrays in [0, 1].
+
+        The first coordinate runs through n equal strata; the rest follows a Kronecker sequence. With the shear of
+        `Sweep`, a bin of the board sees a short run of the sequence, spread as evenly as it can be.
+        """
+        i = dr.arange(mi.UInt32, n)
+        stratum = (1 << 32) // n
+        first = i * opaque_uint(stratum) + opaque_uint(int(rng.integers(stratum)))
+        u = [mi.Float(first) * opaque(1.0 / (n * stratum))]
+        for step in _kronecker(self.dimensions - 1):
+            x = i * mi.UInt32(int(step)) + opaque_uint(int(rng.integers(1 << 32)))
+            # 24 bits are exact in float32; all 32 could round to 1.
+            u.append(mi.Float(x >> 8) * 2.0**-24)
+        return u
