@@ -1,20 +1,24 @@
 """Photographs of a known curve on the board, made without any of benchsim's optics, for the studies of the ridge.
 
-A circular arc of known radius lies on the board; across it the light has a known shape whose centroid is the arc. OpenCV
-undoes lens and perspective for 4 x 4 points in every pixel of a band; their mean is the pixel's light, blurred by a
-Gaussian, with shot and read noise, quantised.
+A circular arc of known radius lies on the board; across it the light has a known shape whose centroid is the arc.
+OpenCV undoes lens and perspective for 4 x 4 points in every pixel of a band; their mean is the pixel's light, blurred
+by a Gaussian, with shot and read noise, quantised.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import fresnel
 
 from benchsim.bench.model import Camera
+from benchsim.trace.band import band_along
+from benchsim.trace.pose import Pose
 
 SUB = 4
 """Points per pixel side."""
@@ -41,7 +45,7 @@ class Scene:
     blur: float
 
 
-def random_scene(rng: np.random.Generator, size: tuple[int, int] = (2000, 1500)) -> Scene:
+def random_scene(rng: np.random.Generator, bits: int = 16, size: tuple[int, int] = (2000, 1500)) -> Scene:
     """A camera, an arc and a line shape at random; the arc crosses the board in any direction."""
     w, h = size
     focal = 1.05 * w
@@ -51,6 +55,8 @@ def random_scene(rng: np.random.Generator, size: tuple[int, int] = (2000, 1500))
         focal,
         (w / 2 - 0.5 + rng.uniform(-5, 5), h / 2 - 0.5 + rng.uniform(-5, 5)),
         (rng.uniform(-0.1, 0.05), rng.uniform(-0.03, 0.05), *rng.uniform(-1e-3, 1e-3, 2), 0.0),
+        bit_depth=bits,
+        saturation_level=2.0**bits - 1,
     )
     position = np.array([rng.uniform(1150, 1300), rng.uniform(-450, 450), rng.uniform(-300, 300)])
     forward = -position / np.linalg.norm(position)
@@ -225,3 +231,44 @@ def counts_variance(electrons: np.ndarray, bits: int) -> np.ndarray:
     """True variance of a pixel in counts: shot, read, rounding."""
     gain = (2**bits - 1) / FULL_WELL
     return gain**2 * (electrons + READ_NOISE**2) + 1 / 12
+
+
+def encode(path: Path, counts: np.ndarray, jpeg_quality: int | None = None) -> Path:
+    """Write counts as PNG, or as JPEG if a quality is given; returns the file's path."""
+    path = path.with_suffix(".png" if jpeg_quality is None else ".jpg")
+    cv2.imwrite(str(path), counts, [] if jpeg_quality is None else [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    return path
+
+
+def true_pose(scene: Scene) -> Pose:
+    """The scene's pose, known exactly."""
+    none = np.zeros((0, 4, 2))
+    return Pose(
+        scene.rotation, scene.translation, scene.camera, np.zeros((6, 6)), none, 1.0, np.zeros(0, bool), (), 0.0
+    )
+
+
+def centre_bound(scene: Scene, light: Light, bits: int, dark: bool, half_width: float = 25.0) -> tuple:
+    """Cramér–Rao bound of the centre of profiles one pixel wide: place along the arc [mm] and sigma [mm], (n,) each.
+
+    Flux, width and a constant background are free; every pixel within ``half_width`` [px] counts with its true
+    variance.
+    """
+    s = np.arange(-500.0, 500.0, 2.0)
+    points = arc(scene, s)
+    s = s[np.abs(points).max(axis=1) < 345]
+    pixels = to_pixels(scene, arc(scene, s))
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
+    curve = make_interp_spline(length, pixels)
+    band = band_along(curve, (0.0, length[-1]), half_width, light.line.shape)
+    gain = (2**bits - 1) / FULL_WELL
+    variance = counts_variance(light.line + light.room, bits) + (counts_variance(light.room, bits) if dark else 0.0)
+    use = band.inside & band.take(light.board)
+    slopes = np.stack(
+        [np.where(use, band.take(a), 0.0) for a in (light.line, light.shift, light.stretch, np.ones_like(light.line))],
+        1,
+    )
+    information = np.einsum(
+        "kam,kbm,km->kab", slopes * gain, slopes * gain, np.where(use, 1 / band.take(variance), 0.0)
+    )
+    return np.interp(band.t, length, s), np.sqrt(np.linalg.inv(information)[:, 1, 1])

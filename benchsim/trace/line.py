@@ -280,6 +280,8 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
     noise = centre_noise(t[k], offset[k], sigma[k], spline_basis(t[k], span, 40.0))
     sigma = sigma[k] * noise.scale
     factor = [_beyond_shifts(shape, t[k], sigma / zoom[k], noise) * zoom[k, None]]
+    if shape.doubt > 0:
+        factor.append((shape.doubt / shape.integral(t[k]) * zoom[k])[:, None])
     if fitted.slope_factor is not None:
         response = shape.slope_response * zoom[k] ** 2 / profiles.flux[k]
         factor.append(fitted.slope_factor[k] * response[:, None])

@@ -64,6 +64,8 @@ class Shape:
         standardised moment of the core.
     factor : (order + 1, r) array
         ``legendre(t) @ factor / integral(t)`` times r independent unit normals is the error of the centroid [px].
+    doubt : float
+        The same, 1 sigma, of a tail that was refused; it does not average out.
     slope_response : float
         Shift of the centroid [px] per slope left in the background, light/px over flux [1/px²].
     """
@@ -78,6 +80,7 @@ class Shape:
     width: CubicSpline
     skewness: CubicSpline
     factor: Array
+    doubt: float
     slope_response: float
 
     def evaluate(self, x: Array, t: Array) -> tuple[Array, Array]:
@@ -197,7 +200,7 @@ def _finish(
     count, k = c.shape
     high = grid[rough > rough.max() / 2]
     edge = (high[-1] - high[0]) / 2 if len(high) else 0.0
-    tail, share = _tail(grid - middle, basis, core, c[:, 0], covariance[:count, :count], edge)
+    tail, share, doubt = _tail(grid - middle, basis, core, c[:, 0], covariance[:count, :count], edge)
     nodes = np.linspace(*span, _NODES)
     terms = legendre(nodes, span, k - 1)
     light = (basis @ c) @ terms.T
@@ -227,23 +230,26 @@ def _finish(
         CubicSpline(nodes, width),
         CubicSpline(nodes, skew),
         vector * np.sqrt(np.maximum(value, 0.0)),
+        doubt,
         float(pull[0] @ ((knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3)),  # a line's coefficients: Greville's abscissae
     )
 
 
-def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array, edge: float) -> tuple[Array, float]:
+def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array, edge: float) -> tuple[Array, float, float]:
     """First moment beyond the core, as a linear functional of the mean shape's coefficients and the share that counts.
 
     Light bent at edges e = ±``edge`` falls off as Σ a_i/(x - e_i)²: a/x² + b/x³ with a ≥ 0 and |b| ≤ 2 a ``edge`` times
     `LOPSIDED`, and beyond the core carries the moment 2b/core. b is held to that bound: a line without such tails gets
     no correction and none of its noise. Where b breaks the bound by 3 sigma, or the two halves of the flank disagree on
-    it by 5, the tails are not an edge's and nothing is added.
+    it by 5 (another light), the tails are not an edge's and nothing is added; the moment refused for its size is doubt.
 
     Returns
     -------
     functional : (count,) ndarray
     share : float
         1 within the bound, less where it is held, 0 where it is refused.
+    doubt : float
+        Moment that was refused.
     """
     reach = float(min(-x[0], x[-1]))
     cut = (core**-5 + reach**-5) / 2
@@ -262,8 +268,11 @@ def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array, edge
     even = np.stack([np.ones(near.sum()), far[near] ** -2.0], axis=1)
     bound = 2 * LOPSIDED * edge * max(float(np.linalg.lstsq(even, (basis @ c)[near], rcond=None)[0][1]), 0.0)
     disagree = abs(float(difference @ c)) > 5 * sigma(difference) + 0.5 * abs(b)
-    share = 0.0 if disagree or abs(b) > bound + 3 * sigma(mean) else min(1.0, bound / max(abs(b), 1e-300))
-    return mean * 2 / core, share
+    if disagree:
+        return mean * 2 / core, 0.0, 0.0
+    if abs(b) > bound + 3 * sigma(mean):
+        return mean * 2 / core, 0.0, abs(b) * 2 / core
+    return mean * 2 / core, min(1.0, bound / max(abs(b), 1e-300)), 0.0
 
 
 def _adaptive_width(offset: Array, light: Array) -> Array:
