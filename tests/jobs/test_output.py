@@ -80,7 +80,7 @@ def test_an_input_inside_the_output_is_refused(tmp_path):
 def test_a_folder_without_permission_is_named(tmp_path):
     tmp_path.chmod(0o500)
     try:
-        with pytest.raises(BenchsimError, match="permission|Permission"):
+        with pytest.raises(BenchsimError, match=r"permission|Permission"):
             write(tmp_path / "out")
     finally:
         tmp_path.chmod(0o700)
