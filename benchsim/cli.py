@@ -59,7 +59,7 @@ def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> None:
     if as_json:
         import json
 
-        typer.echo(json.dumps(result.as_dict(), indent=1))
+        typer.echo(json.dumps(result.as_dict(), indent=1, allow_nan=False))
     else:
         typer.echo(result.summary())
 

@@ -52,21 +52,24 @@ class ValidationResult:
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        lines = ["against the vector model          stated setting       settings fitted          p   agrees"]
+        wide = max(16, *(len(v.name) for v in self.exposures))
+        heads = ("stated setting", "settings fitted", "p", "agrees")
+        lines = ["rms distance from the vector model, on the screen and as a lean of the normal:"]
+        lines.append(f"{'':<{wide}}{heads[0]:>23}{heads[1]:>20}{heads[2]:>7}  {heads[3]}")
         words = {True: "yes", False: "no", None: "cannot tell"}
         for v in self.exposures:
             row = v.as_dict()
             before, after = row["before"], row["after"]
             lines.append(
-                f"{v.name:<24}{before['rms_mm']:9.3f} mm {before['rms_mrad']:6.3f} mrad"
-                f"{1e3 * after['rms_mm']:9.1f} µm {1e3 * after['rms_mrad']:6.2f} µrad"
-                f"{after['p_value']:9.3f}   {words[v.agrees]}"
+                f"{v.name:<{wide}}{before['rms_mm']:9.3f} mm{before['rms_mrad']:7.3f} mrad"
+                f"{1e3 * after['rms_mm']:7.1f} µm{1e3 * after['rms_mrad']:6.1f} µrad"
+                f"{after['p_value']:7.3f}  {words[v.agrees]}"
             )
-        lines.append("of it, rms along the traces: ")
+        r = self.recording.mirror.radius
+        lines.append(f"of it the polygon, and r = {r:.1f} mm neglected (normal kept; aimed without it):")
         for v in self.exposures:
             lines.append(
-                f"{v.name:<24}the polygon {v.polygon_mm:.3f} mm; r = {self.recording.mirror.radius:.1f} mm neglected: "
-                f"{v.radius_mm:.2f} mm with the normal kept, {v.radius_own_aim_mm:.3f} mm if aimed without it"
+                f"{v.name:<{wide}}{v.polygon_mm:9.3f} mm{v.radius_mm:15.2f} mm;{v.radius_own_aim_mm:8.3f} mm"
             )
         lines += [f"lost: {sentence}" for sentence in self.lost]
         if self.folder is not None:
