@@ -30,7 +30,7 @@ SCENE = Path(__file__).resolve().parents[1] / "scenes" / "campaign12.toml"
 
 
 def case(bench: Recording, seed: int) -> Recording:
-    """One exposure near one of the campaign's, at half the resolution."""
+    """One exposure near one of the campaign's."""
     rng = np.random.default_rng(seed)
     e = bench.exposures[int(rng.integers(len(bench.exposures)))]
     e = replace(
@@ -39,14 +39,7 @@ def case(bench: Recording, seed: int) -> Recording:
         laser_elevation=e.laser_elevation + math.radians(rng.uniform(-3, 3)),
         mirror_position=tuple(float(x + rng.uniform(-40, 40)) for x in e.mirror_position),
     )
-    c = bench.cameras[e.camera]
-    half = replace(
-        c,
-        resolution=(c.resolution[0] // 2, c.resolution[1] // 2),
-        focal=c.focal / 2,
-        principal_point=((c.principal_point[0] - 0.5) / 2, (c.principal_point[1] - 0.5) / 2),
-    )
-    return replace(bench, exposures=(e,), cameras={e.camera: half})
+    return replace(bench, exposures=(e,), cameras={e.camera: bench.cameras[e.camera]})
 
 
 def main() -> None:
