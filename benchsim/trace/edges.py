@@ -19,11 +19,20 @@ from benchsim.trace.lens import distort, undistort
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_PARAMETERS = 6  # offset, tilt, and the four of the shape
-_BLACK, _CONTRAST, _SLOPE, _BLUR = range(4)  # columns of a shape: light, light, light per px, log px
+_BLACK, _CONTRAST, _SLOPE, _BLUR, _KURTOSIS = range(5)  # columns of a shape: light, light, light per px, log px, 1
+_PARAMETERS = 6  # offset, tilt, and those of the shape but the kurtosis
 
 OUTLIER_SIGMA = 5.0
 """Pixels this far off are no noise: of 3 million, noise alone puts one there."""
+
+KURTOSIS_RANGE = (-1.2, 2.0)
+"""Excess kurtosis from a box to a Laplace distribution: sharper or flatter blurs are none of a lens."""
+
+BLUR_SPREAD = 0.1
+"""Relative spread of the blur over a picture that lets a short edge, which measures its own badly, keep to the mean."""
+
+KURTOSIS_REACH = 3.0
+"""Blurs of black that an edge must show for its kurtosis to be told from the light behind the border."""
 
 CELLS = 8
 """Cells along the black square of an AprilTag 36h11: 6 of data and a black border of one."""
@@ -38,18 +47,44 @@ class Edges:
 
     Attributes
     ----------
-    start, end : (e, 2) px
-        Corners between which each edge runs; white lies on the side of (a_v, −a_u), a the direction from start to end.
-    depth : (e, 2) px
-        Distance across the edge, at start and end, over which it stays black inside.
-    inner : (e, 8) bool
+    corners : (n, 4, 2) px
+        Clockwise in the picture; edge k of a mark runs from corner k to corner k + 1, white lies to its left.
+    inner : (4 n, 8) bool
         Which of the eight cells behind the black ones, from start to end, are white.
     """
 
-    start: Array
-    end: Array
-    depth: Array
+    corners: Array
     inner: Mask
+
+    @property
+    def start(self) -> Array:
+        """(4 n, 2) px"""
+        return self.corners.reshape(-1, 2)
+
+    @property
+    def end(self) -> Array:
+        """(4 n, 2) px"""
+        return np.roll(self.corners, -1, axis=1).reshape(-1, 2)
+
+    def borders(self) -> Array:
+        """Corners of the eight cells behind each edge's black ones that face the edge, (4 n, 9, 2) px.
+
+        By the projective map of the unit square to the mark (Heckbert 1989, Fundamentals of Texture Mapping, 2.2.3).
+        """
+        quad = np.stack([np.roll(self.corners, -k, axis=1) for k in range(4)], axis=1).reshape(-1, 4, 2)
+        p0, p1, p2, p3 = np.moveaxis(quad, 1, 0)
+        total, d1, d2 = p0 - p1 + p2 - p3, p1 - p2, p3 - p2
+        determinant = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+        g = ((total[:, 0] * d2[:, 1] - total[:, 1] * d2[:, 0]) / determinant)[:, None]
+        h = ((d1[:, 0] * total[:, 1] - d1[:, 1] * total[:, 0]) / determinant)[:, None]
+        x, y = (np.arange(CELLS + 1) / CELLS)[:, None], 1 / CELLS
+        above = ((p1 - p0 + g * p1)[:, None] * x) + ((p3 - p0 + h * p3) * y + p0)[:, None]
+        return above / (g[:, None] * x + (h * y + 1)[:, None])
+
+    def line(self) -> _Line:
+        """The edges as lines."""
+        length = np.linalg.norm(self.end - self.start, axis=1)
+        return _Line((self.start + self.end) / 2, (self.end - self.start) / length[:, None], length)
 
 
 @dataclass(frozen=True)
@@ -112,24 +147,29 @@ def fit_edges(light: NDArray[np.float32], saturated: Mask, camera: Camera, edges
     Fails, and says so by ``used`` and ``scatter``, where something else covers the edge. Where light is not linear in
     radiance (unknown gamma) all four edges of a mark move outward or inward by the same fraction of the blur.
     """
-    length = np.linalg.norm(edges.end - edges.start, axis=1)
-    cell = edges.depth.min(axis=1)
+    line = edges.line()
+    cell = line.cell(edges)
     wide = np.clip(cell, 1.5, 8.0)
-    line = _Line((edges.start + edges.end) / 2, (edges.end - edges.start) / length[:, None], length)
-    band = _band(light, saturated, camera, line, -0.8 * wide, wide, np.minimum(2.0, length / 6), floor)
+    band = _band(light, saturated, camera, line, -0.8 * wide, wide, np.minimum(2.0, line.length / 6), floor)
     fitted = _iterate(band, edges, line, _first_shape(band, line), 6)
+    edges = _with_corners_of(edges, fitted.line)
+    line = edges.line()
+    length, cell = line.length, line.cell(edges)
     typical = np.median(fitted.shape[:, _BLUR])
     fitted.shape[:, _BLUR] = np.clip(fitted.shape[:, _BLUR], typical - np.log(2), typical + np.log(2))
 
     blur = np.exp(fitted.shape[:, _BLUR])
     # Two blurs in front of the cells behind the border little of their light is left, and that is predicted.
-    inside = np.minimum(np.maximum(cell - 2 * blur, cell / 2), 5 * blur + 1)
+    inside = np.minimum(np.maximum(cell - blur, 0.75 * cell), 5 * blur + 1)
     outside = np.minimum(np.maximum(cell, 2.0), 5 * blur + 1)
     margin = np.minimum(3 * blur, length / 4)
-    band = _band(light, saturated, camera, fitted.line, -inside, outside, margin, floor)
-    fitted = _iterate(band, edges, fitted.line, fitted.shape, 2)
+    band = _band(light, saturated, camera, line, -inside, outside, margin, floor)
+    fitted = _iterate(band, edges, line, fitted.shape, 2)
     band = _without_other_light(band, edges, fitted, floor)
-    fitted = _iterate(band, edges, fitted.line, fitted.shape, 3)
+    common = _common_blur(band, fitted)
+    fitted = _iterate(band, edges, fitted.line, fitted.shape, 1, common_blur=common, fit_kurtosis=True)
+    fitted.shape[:, _KURTOSIS] = _common_kurtosis(band, fitted)
+    fitted = _iterate(band, edges, fitted.line, fitted.shape, 3, common_blur=_common_blur(band, fitted))
     line, shape = fitted.line, fitted.shape
     variance = np.maximum(fitted.variance, floor)
     scatter = variance / np.maximum(shape[:, _CONTRAST], 1e-6) ** 2
@@ -139,7 +179,7 @@ def fit_edges(light: NDArray[np.float32], saturated: Mask, camera: Camera, edges
         point=line.middle,
         along=line.along,
         normal=line.normal,
-        covariance=fitted.covariance * pooled[:, None, None],
+        covariance=fitted.covariance[:, :2, :2] * pooled[:, None, None],
         black=shape[:, _BLACK],
         contrast=shape[:, _CONTRAST],
         blur=np.exp(shape[:, _BLUR]),
@@ -160,6 +200,17 @@ class _Line:
     def normal(self) -> Array:
         return np.stack([self.along[:, 1], -self.along[:, 0]], axis=1)
 
+    def coordinates(self, points: Array) -> tuple[Array, Array]:
+        """Of points (e, p, 2): along from the middle, and across towards white."""
+        u, v = points[..., 0] - self.middle[:, :1], points[..., 1] - self.middle[:, 1:]
+        (au, av), (nu, nv) = self.along.T[:, :, None], self.normal.T[:, :, None]
+        return u * au + v * av, u * nu + v * nv
+
+    def cell(self, edges: Edges) -> Array:
+        """Smallest distance from each line to the cells behind it [px]."""
+        _, across = self.coordinates(edges.borders())
+        return -across.max(axis=1)
+
     def moved(self, offset: Array, tilt: Array) -> _Line:
         along = self.along + tilt[:, None] * self.normal
         return _Line(
@@ -173,16 +224,13 @@ class _Line:
 class _Band:
     """Pixels near each edge, one row per edge, padded: undistorted place (e, p, 2), light, whether used."""
 
-    u: Array
-    v: Array
+    place: Array
     light: Array
     use: Mask
 
     def coordinates(self, line: _Line) -> tuple[Array, Array]:
         """Along from the middle, and across towards white."""
-        u, v = self.u - line.middle[:, :1], self.v - line.middle[:, 1:]
-        (au, av), (nu, nv) = line.along.T[:, :, None], line.normal.T[:, :, None]
-        return u * au + v * av, u * nu + v * nv
+        return line.coordinates(self.place)
 
 
 def _band(
@@ -229,7 +277,39 @@ def _band(
     u, v, values = (np.take_along_axis(a.reshape(use.shape), order, axis=1) for a in (u, v, values))
     place = undistort(camera, np.stack([u, v], axis=-1))
     inside = np.arange(order.shape[1]) < kept[:, None]
-    return _Band(place[..., 0].copy(), place[..., 1].copy(), values.astype(float), inside)
+    return _Band(place, values.astype(float), inside)
+
+
+def _with_corners_of(edges: Edges, line: _Line) -> Edges:
+    """Corners from lines; those of a mark stay where they moved by more than a cell, on lines that went astray."""
+    corners, _ = intersections(*(x.reshape(edges.corners.shape) for x in (line.middle, line.along)))
+    moved = np.linalg.norm(corners - edges.corners, axis=-1).max(axis=1)
+    side = np.linalg.norm(np.roll(edges.corners, -1, axis=1) - edges.corners, axis=-1).min(axis=1)
+    kept = moved < np.maximum(side / CELLS, 2.0)
+    return replace(edges, corners=np.where(kept[:, None, None], corners, edges.corners))
+
+
+def intersections(point: Array, along: Array) -> tuple[Array, Array]:
+    """Corner k where edges k − 1 and k of a mark meet, and how it moves with the place across of these two.
+
+    Parameters
+    ----------
+    point, along : (n, 4, 2)
+        A point on each edge [px], and its direction.
+
+    Returns
+    -------
+    corners : (n, 4, 2) px; nan where edges are parallel
+    by_place : (n, 4, 2, 2)
+        [..., 0] by a shift of edge k − 1 along its normal (a_v, −a_u), [..., 1] by that of edge k.
+    """
+    normal = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    place = (normal * point).sum(axis=-1)
+    (a, b), (c, d) = np.moveaxis(np.stack([np.roll(normal, 1, axis=1), normal], axis=2), (2, 3), (0, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+        inverse = inverse / (a * d - b * c)[..., None, None]
+    return (inverse @ np.stack([np.roll(place, 1, axis=1), place], axis=-1)[..., None])[..., 0], inverse
 
 
 def line_direction(ends: Array) -> Array:
@@ -297,7 +377,7 @@ def _first_shape(band: _Band, line: _Line) -> Array:
     _, d = band.coordinates(line)
     black = _masked_median(band.light, band.use & (d < -1))
     white = _masked_median(band.light, band.use & (d > 1))
-    shape = np.zeros((len(black), 4))
+    shape = np.zeros((len(black), 5))
     shape[:, _BLACK] = black
     shape[:, _CONTRAST] = np.maximum(white - black, 1e-3 * np.abs(white) + 1e-6)
     return shape
@@ -315,33 +395,39 @@ def _masked_median(values: NDArray, use: Mask) -> Array:
 
 
 def _model(band: _Band, line: _Line, shape: Array, behind: Array) -> tuple[Array, list[Array], Array]:
-    """Model's light, its derivatives by the six parameters, and the step 0 … 1 from black to white."""
+    """Model's light, its derivatives by the seven parameters, and the step 0 … 1 from black to white."""
     s, d = band.coordinates(line)
-    black, contrast, slope, log_blur = (shape[:, i, None] for i in range(4))
+    black, contrast, slope, log_blur, kurtosis = (shape[:, i, None] for i in range(5))
     blur = np.exp(log_blur)
-    q = d / blur
-    step = ndtr(q)
-    bell = np.exp(-0.5 * q * q) * (0.3989422804014327 / blur)
+    step, bell, by_kurtosis = _blurred_step(d / blur, kurtosis)
     white = contrast + slope * s
-    gradient = white * bell
-    derivative = [-gradient, -gradient * s, np.ones_like(s), step, step * s, -gradient * d]
+    gradient = white * bell / blur
+    derivative = [-gradient, -gradient * s, np.ones_like(s), step, step * s, -gradient * d, white * by_kurtosis]
     light = black + white * (step + behind)
     return light, derivative, step
+
+
+def _blurred_step(q: Array, kurtosis: Array) -> tuple[Array, Array, Array]:
+    """Blurred step of unit width, its derivatives by place and by kurtosis: Edgeworth's series to the fourth order."""
+    bell = np.exp(-0.5 * q * q) * 0.3989422804014327
+    q2 = q * q
+    by_kurtosis = q * (3 - q2) * bell / 24
+    return ndtr(q) + kurtosis * by_kurtosis, bell * (1 + kurtosis / 24 * (3 + q2 * (q2 - 6))), by_kurtosis
 
 
 def _behind(band: _Band, edges: Edges, line: _Line, shape: Array) -> Array:
     """Light of the white cells behind the border, as a fraction of the contrast, where it is more than 1e-4."""
     s, d = band.coordinates(line)
     blur = np.exp(shape[:, _BLUR, None])
-    length = line.length[:, None]
-    along = s / length + 0.5
-    depth = edges.depth[:, :1] * (1 - along) + edges.depth[:, 1:] * along
-    q = -(d + depth) / blur
+    at, depth = line.coordinates(edges.borders())
+    slope = (depth[:, 8:] - depth[:, :1]) / (at[:, 8:] - at[:, :1])
+    q = -(d - depth[:, :1] - slope * (s - at[:, :1])) / blur
     out = np.zeros_like(s)
     e, p = np.nonzero(band.use & (q > -3.7))
     changes = np.diff(edges.inner.astype(float), axis=1, prepend=0.0)[e]
-    steps = ndtr((along[e, p, None] - np.arange(CELLS) / CELLS) * (length[e] / blur[e]))
-    out[e, p] = ndtr(q[e, p]) * (steps * changes).sum(axis=1)
+    steps = ndtr((s[e, p, None] - at[e, :CELLS]) / blur[e])
+    border, _, _ = _blurred_step(q[e, p], shape[e, _KURTOSIS])
+    out[e, p] = border * (steps * changes).sum(axis=1)
     return out
 
 
@@ -357,30 +443,62 @@ class _Fitted:
     weight: Array
 
 
-def _iterate(band: _Band, edges: Edges, line: _Line, shape: Array, steps: int) -> _Fitted:
-    """Gauss–Newton steps; ``covariance`` of (offset, tilt) for pixels of unit variance, ``variance`` the residuals'."""
+def _iterate(
+    band: _Band,
+    edges: Edges,
+    line: _Line,
+    shape: Array,
+    steps: int,
+    *,
+    common_blur: float | None = None,
+    fit_kurtosis: bool = False,
+) -> _Fitted:
+    """Gauss–Newton steps; ``covariance`` of all parameters for pixels of unit variance, ``variance`` the residuals'."""
     shape = shape.copy()
+    count = _PARAMETERS + fit_kurtosis
     for i in range(steps):
         if i % 3 == 0:
             behind = _behind(band, edges, line, shape)
         light, derivative, step = _model(band, line, shape, behind)
         residual = band.light - light
         weight = _weights(residual, band.use, band.use & (np.abs(step - 0.5) < 0.45))
-        columns = np.stack([*derivative, residual], axis=1)
-        product = (columns[:, :_PARAMETERS] * weight[:, None]) @ columns.transpose(0, 2, 1)
-        normal, right = product[..., :_PARAMETERS], product[..., _PARAMETERS]
+        columns = np.stack([*derivative[:count], residual], axis=1)
+        product = (columns[:, :count] * weight[:, None]) @ columns.transpose(0, 2, 1)
+        normal, right = product[..., :count], product[..., count]
+        freedom = np.maximum(weight.sum(axis=1) - count, 1)
+        variance = (weight * residual**2).sum(axis=1) / freedom
+        if common_blur is not None:
+            normal[:, 5, 5] += variance / BLUR_SPREAD**2
+            right[:, 5] += variance / BLUR_SPREAD**2 * (common_blur - shape[:, _BLUR])
         size = np.sqrt(np.einsum("eii->ei", normal)) + 1e-30
         normal = normal / (size[:, :, None] * size[:, None, :])
-        # A blur that the pixels hardly determine must not run away: its log is held with 30 % per step.
-        inverse = np.linalg.inv(normal + 1e-9 * np.eye(_PARAMETERS))
+        inverse = np.linalg.inv(normal + 1e-9 * np.eye(count))
         change = np.einsum("eij,ej->ei", inverse, right / size) / size
-        covariance = inverse[:, :2, :2] / (size[:, :2, None] * size[:, None, :2])
-        freedom = np.maximum(weight.sum(axis=1) - _PARAMETERS, 1)
-        variance = (weight * residual**2).sum(axis=1) / freedom
+        covariance = inverse / (size[:, :, None] * size[:, None, :])
         line = line.moved(np.clip(change[:, 0], -1, 1), np.clip(change[:, 1], -2 / line.length, 2 / line.length))
         shape[:, :3] += change[:, 2:5]
         shape[:, _BLUR] = np.clip(shape[:, _BLUR] + np.clip(change[:, 5], -0.3, 0.3), np.log(0.25), np.log(8.0))
+        if fit_kurtosis:
+            shape[:, _KURTOSIS] += np.clip(change[:, 6], -1, 1)
     return _Fitted(line, shape, covariance, variance, freedom, weight)
+
+
+def _common_blur(band: _Band, fitted: _Fitted) -> float:
+    """Mean log of the blur of all edges, each weighted by how well it is determined."""
+    precision = 1 / np.maximum(fitted.covariance[:, 5, 5] * fitted.variance, 1e-30)
+    precision = np.where(band.use.any(axis=1), np.minimum(precision, 4 * np.median(precision)), 0.0)
+    return float(np.average(fitted.shape[:, _BLUR], weights=precision)) if precision.any() else 0.0
+
+
+def _common_kurtosis(band: _Band, fitted: _Fitted) -> float:
+    """Mean kurtosis of the edges that show enough black to tell it; 0 if there is none."""
+    _, d = band.coordinates(fitted.line)
+    reach = -np.where(band.use, d, 0.0).min(axis=1) / np.exp(fitted.shape[:, _BLUR])
+    precision = 1 / np.maximum(fitted.covariance[:, 6, 6] * fitted.variance, 1e-30)
+    precision = np.where(reach > KURTOSIS_REACH, np.minimum(precision, 4 * np.median(precision)), 0.0)
+    if not precision.any():
+        return 0.0
+    return float(np.clip(np.average(fitted.shape[:, _KURTOSIS], weights=precision), *KURTOSIS_RANGE))
 
 
 def _weights(residual: Array, use: Mask, near: Mask) -> Array:

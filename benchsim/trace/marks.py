@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Marks
-from benchsim.trace.edges import CELLS, OUTLIER_SIGMA, EdgeFit, Edges, fit_edges
+from benchsim.trace.edges import CELLS, OUTLIER_SIGMA, EdgeFit, Edges, fit_edges, intersections
 from benchsim.trace.image import Photograph
 from benchsim.trace.lens import distort, distortion_jacobian, undistort
 
@@ -25,7 +25,11 @@ FEWEST_MARKS = 3
 none can be told to be the wrong one; of three, two outvote the third."""
 
 SMALLEST_SIDE = 10
-"""Marks smaller than this are not read [px]: a cell would be 1.25 px."""
+"""Marks smaller than this are not looked for [px]: a cell would be 1.25 px."""
+
+SMALL_SIDE = 24
+"""Where marks are smaller than this [px], or none is found, they are looked for again in a picture enlarged twice: the
+detector wants three pixels for a cell."""
 
 BRACKET = 4.0
 """Ratio of successive white levels under which marks are looked for, from the brightest pixel down to the noise."""
@@ -151,22 +155,30 @@ def find_marks(photograph: Photograph, marks: Marks | None, camera: Camera) -> M
 
 
 def _detect(photograph: Photograph, wanted: set[int]) -> tuple[dict[int, Array], set[int]]:
-    """Coarse corners by id, and ids seen twice; several exposures of the 8-bit picture the detector needs."""
+    """Coarse corners by id, and ids seen twice; several exposures of the 8-bit picture that the detector needs."""
     light = photograph.marks_light
     parameters = cv2.aruco.DetectorParameters()
     parameters.minMarkerPerimeterRate = 4 * SMALLEST_SIDE / max(light.shape)
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(_DICTIONARY), parameters)
     noise = 1.4826 * float(np.median(np.abs(np.diff(light[::8], axis=1))))
-    white, darkest = float(light.max()), max(4 * noise, 1.0)
     found: dict[int, Array] = {}
     twice: set[int] = set()
-    while white > darkest and not wanted <= found.keys():
-        corners, ids, _ = detector.detectMarkers(cv2.convertScaleAbs(np.maximum(light, 0), alpha=255 / white))
-        seen = [] if ids is None else [int(i) for i in ids.ravel()]
-        twice |= {i for i in seen if seen.count(i) > 1}
-        for i, quad in zip(seen, corners, strict=True):
-            found.setdefault(i, np.asarray(quad, float).reshape(4, 2))
-        white /= BRACKET
+    for enlarged in (1, 2):
+        white, darkest = float(light.max()), max(4 * noise, 1.0)
+        while white > darkest and not wanted <= found.keys():
+            grey = cv2.convertScaleAbs(np.maximum(light, 0), alpha=255 / white)
+            if enlarged > 1:
+                grey = cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_CUBIC)
+            corners, ids, _ = detector.detectMarkers(grey)
+            seen = [] if ids is None else [int(i) for i in ids.ravel()]
+            twice |= {i for i in seen if seen.count(i) > 1}
+            for i, quad in zip(seen, corners, strict=True):
+                # Pixel centres are whole numbers: (0, 0) of the picture is (0.5, 0.5) of one enlarged twice.
+                found.setdefault(i, (np.asarray(quad, float).reshape(4, 2) + 0.5) / enlarged - 0.5)
+            white /= BRACKET
+        sides = [np.linalg.norm(quad[1] - quad[0]) for quad in found.values()]
+        if sides and np.median(sides) > SMALL_SIDE:
+            break
     return {i: quad for i, quad in sorted(found.items()) if i not in twice}, twice & wanted
 
 
@@ -185,20 +197,14 @@ class _Measured:
 def _measure(photograph: Photograph, camera: Camera, ids: NDArray[np.intp], coarse: Array) -> _Measured:
     n = len(ids)
     quad = undistort(camera, coarse)
-    start, end = quad.reshape(-1, 2), np.roll(quad, -1, axis=1).reshape(-1, 2)
-    across = end - start
-    normal = np.stack([across[:, 1], -across[:, 0]], axis=1) / np.linalg.norm(across, axis=1, keepdims=True)
-    behind = [np.roll(quad, shift, axis=1).reshape(-1, 2) for shift in (1, -2)]
-    depth = np.stack([-((p - start) * normal).sum(axis=1) for p in behind], axis=1) / CELLS
     dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARY)
     white = [cv2.aruco.generateImageMarker(dictionary, int(i), CELLS, borderBits=1) > 0 for i in ids]
     inner = np.array([np.rot90(cells, k)[1] for cells in white for k in range(4)])
     quantum = float(np.max(photograph.light_per_count)) ** 2 / 12
-    fit = fit_edges(
-        photograph.marks_light, photograph.marks_saturated, camera, Edges(start, end, depth, inner), quantum
-    )
+    edges = Edges(quad, inner)
+    fit = fit_edges(photograph.marks_light, photograph.marks_saturated, camera, edges, quantum)
     good = _good_edges(fit)
-    ideal, joint = _intersect(_with_coarse(fit, start, end, good), n)
+    ideal, joint = _intersect(_with_coarse(fit, edges, good), n)
     jacobian = np.zeros((n, 8, 8))
     local = distortion_jacobian(camera, ideal)
     for k in range(4):
@@ -218,9 +224,9 @@ def _good_edges(fit: EdgeFit) -> NDArray[np.bool_]:
     return found & (fit.used >= 0.5) & (fit.contrast > 0) & ~rough
 
 
-def _with_coarse(fit: EdgeFit, start: Array, end: Array, good: NDArray[np.bool_]) -> EdgeFit:
+def _with_coarse(fit: EdgeFit, edges: Edges, good: NDArray[np.bool_]) -> EdgeFit:
     """Edges that could not be measured lie where the detector saw them, with its own coarse error."""
-    run = end - start
+    run = edges.end - edges.start
     length = np.linalg.norm(run, axis=1)
     along = np.where(good[:, None], fit.along, run / length[:, None])
     coarse = np.zeros_like(fit.covariance)
@@ -228,7 +234,7 @@ def _with_coarse(fit: EdgeFit, start: Array, end: Array, good: NDArray[np.bool_]
     coarse[:, 1, 1] = 2 * (COARSE_SIGMA / length) ** 2
     return replace(
         fit,
-        point=np.where(good[:, None], fit.point, (start + end) / 2),
+        point=np.where(good[:, None], fit.point, (edges.start + edges.end) / 2),
         along=along,
         normal=np.stack([along[:, 1], -along[:, 0]], axis=1),
         covariance=np.where(good[:, None, None], fit.covariance, coarse),
@@ -237,18 +243,14 @@ def _with_coarse(fit: EdgeFit, start: Array, end: Array, good: NDArray[np.bool_]
 
 def _intersect(fit: EdgeFit, n: int) -> tuple[Array, Array]:
     """Corners from lines, undistorted pixels, with the covariance of all eight coordinates."""
-    normal, along, point = (x.reshape(n, 4, 2) for x in (fit.normal, fit.along, fit.point))
-    place = (normal * point).sum(axis=-1)
-    corners = np.zeros((n, 4, 2))
+    along, point = (x.reshape(n, 4, 2) for x in (fit.along, fit.point))
+    corners, by_place = intersections(point, along)
     jacobian = np.zeros((n, 8, 8))
     for k in range(4):
-        pair = [k - 1, k] if k else [3, 0]
-        inverse = np.linalg.inv(normal[:, pair])
-        corners[:, k] = np.einsum("nij,nj->ni", inverse, place[:, pair])
-        for column, e in enumerate(pair):
+        for column, e in enumerate(((k - 1) % 4, k)):
             s = ((corners[:, k] - point[:, e]) * along[:, e]).sum(axis=-1)
-            jacobian[:, 2 * k : 2 * k + 2, 2 * e] = inverse[:, :, column]
-            jacobian[:, 2 * k : 2 * k + 2, 2 * e + 1] = inverse[:, :, column] * s[:, None]
+            jacobian[:, 2 * k : 2 * k + 2, 2 * e] = by_place[:, k, :, column]
+            jacobian[:, 2 * k : 2 * k + 2, 2 * e + 1] = by_place[:, k, :, column] * s[:, None]
     edges = np.zeros((n, 8, 8))
     for e in range(4):
         edges[:, 2 * e : 2 * e + 2, 2 * e : 2 * e + 2] = fit.covariance.reshape(n, 4, 2, 2)[:, e]
