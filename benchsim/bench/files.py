@@ -34,7 +34,7 @@ from benchsim.bench.model import (
 from benchsim.bench.place import aim
 from benchsim.bench.writing import write
 
-__all__ = ["read", "write"]
+__all__ = ["read", "sources", "write"]
 
 _TABLE_MODELS: dict[str, type[BaseModel]] = {
     "laser": schema.LaserTable,
@@ -83,6 +83,14 @@ def read(path: str | Path, *, images: bool | None = None) -> Recording:
     recording = replace(_convert(checked, file), defaults_used=tuple(_defaults(checked)))
     _check(recording, file, images)
     return recording
+
+
+def sources(recording: Recording) -> list[Path]:
+    """Files that a recording stands on: its TOML file, marks and pictures, in this order."""
+    screen = _load_toml(recording.path).get("screen", {})
+    names = [screen.get("marks", schema.ScreenTable.model_fields["marks"].default)]
+    names += [name for e in recording.exposures for name in (e.image, e.dark) if name]
+    return [recording.path, *(recording.folder / name for name in names)]
 
 
 def _toml_path(path: Path) -> Path:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchsim import conics, trace, vector
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.files import read
+from benchsim.bench.files import read, sources
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import place
 from benchsim.bench.settings import NAMES, from_vector, prior_sigma, screen_seats
@@ -162,8 +162,7 @@ def fit(
             "(camera, laser, mirror position) and marks.csv, or fit it in pixels with --pixels"
         )
     recording = read(path, images=True)
-    images = [recording.folder / n for e in recording.exposures for n in (e.image, e.dark) if n]
-    with output_folder(folder, "fit", [recording.path, *images], {}, recording.defaults_used) as staging:
+    with output_folder(folder, "fit", sources(recording), {}, recording.defaults_used) as staging:
         result = replace(fit_recording(recording, progress=progress), folder=folder)
         write_fit(result, staging)
         for f in result.fitted:

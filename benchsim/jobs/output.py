@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -72,7 +73,9 @@ def output_folder(
         staging.chmod(0o777 & ~mask)
         _swap(staging, target)
     except OSError as error:
-        if error.filename and str(error.filename).startswith(str(staging)):
+        # A full disk is told without a name.
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        if full or (error.filename and str(error.filename).startswith(str(staging))):
             raise BenchsimError(
                 f"{target}: cannot be written ({error.strerror}); choose another folder with -o"
             ) from None
@@ -122,10 +125,15 @@ def _stamp(command: str, inputs: Sequence[Path], options: dict[str, Any], defaul
         "command": command,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "options": options,
-        "inputs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs},
+        "inputs": {_short(path, inputs[0].parent): hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs},
         "versions": versions,
         "defaults_used": list(defaults),
     }
+
+
+def _short(path: Path, folder: Path) -> str:
+    """Name under the input's folder: two pictures of one name may lie in different folders below it."""
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
 
 
 def _swap(staging: Path, target: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.files import read
+from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording
 from benchsim.jobs.output import default_folder, output_folder
 
@@ -90,7 +90,7 @@ def render(
     recording = replace(recording, effects=override(recording.effects, effects))
     folder = Path(output) if output is not None else default_folder(source, "render")
     options = {"seed": seed, "effects": list(effects), "noise": noise, "setting_errors": setting_errors}
-    with output_folder(folder, "render", [recording.path], options, recording.defaults_used) as staging:
+    with output_folder(folder, "render", sources(recording), options, recording.defaults_used) as staging:
         rendered, notes = render_into(
             recording,
             staging,

@@ -9,7 +9,7 @@ from typing import Any
 
 import benchsim
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.files import read
+from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording
 from benchsim.jobs.fitting import FitResult, fit_recording, write_fit
 from benchsim.jobs.output import default_folder, output_folder
@@ -81,7 +81,7 @@ def run(
     else:
         source = Path(file)
         recording = read(source)
-        inputs = [recording.path]
+        inputs = sources(recording)
         folder = Path(output) if output is not None else default_folder(source, "run")
     photographed = [e.image is not None for e in recording.exposures]
     if any(photographed) and not all(photographed):
@@ -90,8 +90,6 @@ def run(
             f"{recording.path.name}: exposure[{missing}].image: missing, while others have one; "
             "name it, or remove all images to render the bench"
         )
-    if all(photographed):
-        inputs += [recording.folder / name for e in recording.exposures for name in (e.image, e.dark) if name]
     with output_folder(folder, "run", inputs, {}, recording.defaults_used) as staging:
         if not all(photographed):
             part = staging / "recording"
@@ -117,4 +115,4 @@ def _figure7() -> tuple[Recording, list[Path]]:
         raise BenchsimError("scenes/fig7a.toml: not found beside the package; name a bench file, or install it anew")
     a, b = (read(folder / f"fig7{letter}.toml", images=False) for letter in "ab")
     both = replace(a, exposures=a.exposures + b.exposures, title="Fig. 7 of Carretero et al. 2019")
-    return both, [a.path, b.path]
+    return both, [b.path, *sources(a)]

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
 
 from benchsim import trace, vector
 from benchsim.bench.curve import Curve
-from benchsim.bench.files import read
+from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording, Screen
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.writing import write_text
@@ -43,7 +42,8 @@ class ValidationResult:
         """Plain values for ``validation.json``."""
         return {
             "format": "benchsim-validation/1",
-            "model": "vector model of Carretero et al. 2019 with the mirror's own r",
+            "model": "vector model of Carretero et al. 2019 with the mirror's own r, and what [physics] adds to it; "
+            "vector_alone: as printed",
             "level": LEVEL,
             "exposures": [v.as_dict() for v in self.exposures],
             "lost": list(self.lost),
@@ -53,7 +53,7 @@ class ValidationResult:
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
         wide = max(16, *(len(v.name) for v in self.exposures))
-        heads = ("stated setting", "settings fitted", "p", "agrees")
+        heads = ("stated setting", "settings fitted", "p", "agrees (p as printed)")
         lines = ["rms distance from the vector model, on the screen and as a lean of the normal:"]
         lines.append(f"{'':<{wide}}{heads[0]:>23}{heads[1]:>20}{heads[2]:>7}  {heads[3]}")
         words = {True: "yes", False: "no", None: "cannot tell"}
@@ -63,14 +63,12 @@ class ValidationResult:
             lines.append(
                 f"{v.name:<{wide}}{before['rms_mm']:9.3f} mm{before['rms_mrad']:7.3f} mrad"
                 f"{1e3 * after['rms_mm']:7.1f} µm{1e3 * after['rms_mrad']:6.1f} µrad"
-                f"{after['p_value']:7.3f}  {words[v.agrees]}"
+                f"{after['p_value']:7.3f}  {words[v.agrees]} ({row['vector_alone']['after']['p_value']:.3f})"
             )
         r = self.recording.mirror.radius
         lines.append(f"of it the polygon, and r = {r:.1f} mm neglected (normal kept; aimed without it):")
         for v in self.exposures:
-            lines.append(
-                f"{v.name:<{wide}}{v.polygon_mm:9.3f} mm{v.radius_mm:15.2f} mm;{v.radius_own_aim_mm:8.3f} mm"
-            )
+            lines.append(f"{v.name:<{wide}}{v.polygon_mm:9.3f} mm{v.radius_mm:15.2f} mm;{v.radius_own_aim_mm:8.3f} mm")
         lines += [f"lost: {sentence}" for sentence in self.lost]
         if self.folder is not None:
             lines.append(f"written: {self.folder}/")
@@ -103,8 +101,7 @@ def validate(
     source = Path(recording)
     folder = Path(output) if output is not None else default_folder(source, "validate")
     checked = read(source, images=True)
-    images = [checked.folder / n for e in checked.exposures for n in (e.image, e.dark) if n]
-    with output_folder(folder, "validate", [checked.path, *images], {}, checked.defaults_used) as staging:
+    with output_folder(folder, "validate", sources(checked), {}, checked.defaults_used) as staging:
         fitted = fit_recording(checked, progress=lambda what, done: progress(what, 0.5 * done))
         found = validate_fit(fitted, progress=lambda what, done: progress(what, 0.5 + 0.4 * done))
         result = ValidationResult(found.recording, found.exposures, found.lost, folder)
@@ -139,7 +136,7 @@ def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) 
     screen = result.recording.screen
     for v, f in zip(result.exposures, fitted.fitted, strict=True):
         main = trace.only_ridge(f.trace, 0)
-        before, after = v.vector.before, v.vector.after
+        before, after = v.bench.before, v.bench.after
         weights = v.binned.weights
         order = np.argsort(v.binned.s)
         traces.append(
@@ -155,7 +152,7 @@ def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) 
                 bin_sigma=np.sqrt(np.diag(v.binned.covariance))[order],
                 mrad_per_mm=float(1 / np.median(v.mm_per_mrad)),
                 stated=_on_board(v.stated, screen),
-                explained=_on_board(v.vector.curve, screen),
+                explained=_on_board(v.bench.curve, screen),
                 caption=_caption(v),
             )
         )
@@ -180,9 +177,8 @@ def _on_board(curve: Curve, screen: Screen) -> NDArray[np.float64]:
 
 
 def _caption(v: ExposureValidation) -> str:
-    p = float(chi2_distribution.sf(v.vector.chi2_after, v.vector.dof))
-    agrees = {True: "agrees", False: "disagrees", None: "cannot tell"}[v.agrees]
-    return f"χ² {v.vector.chi2_after:.0f} of {v.vector.dof}, p = {p:.2f}, {agrees}"
+        agrees = {True: "agrees", False: "disagrees", None: "cannot tell"}[v.agrees]
+    return f"χ² {v.bench.chi2_after:.0f} of {v.bench.dof}, p = {v.bench.p_after:.2f}, {agrees}"
 
 
 def _cm(position: tuple[float, float, float]) -> str:
