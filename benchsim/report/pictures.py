@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from operator import mul
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -103,8 +104,8 @@ def overlay(
     for quad in outlines:
         main.plot(*np.vstack([quad, quad[:1]]).T, color=MARKS, linewidth=0.9)
     lines = [
-        (stated, STATED, "vector model, stated setting", (4, 2)),
-        (explained, EXPLAINED, "vector model, settings fitted", ()),
+        (stated, STATED, "model, stated setting", (4, 2)),
+        (explained, EXPLAINED, "model, settings fitted", ()),
     ]
     for points, colour, label, dashes in lines:
         if points is None:
@@ -114,7 +115,8 @@ def overlay(
     main.plot(*ridge.T, color=MEASURED, linewidth=0.7, label="extracted ridge")
     main.plot([], [], color=MARKS, linewidth=0.9, label="marks, by the solved pose")
     main.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
-    main.legend(loc="lower right", fontsize=8, framealpha=0.9)
+    # Below the photograph: the board may fill all of it.
+    main.legend(loc="upper left", bbox_to_anchor=(0.0, -0.01), fontsize=8, ncol=4, frameon=False, borderaxespad=0.0)
     half = max(10.0, 0.012 * width)
     for axes, at, letter in zip(details, (0.3, 0.7), "ab", strict=True):
         u, v = ridge[int(at * (len(ridge) - 1))]
@@ -145,7 +147,9 @@ def residuals(path: Path, traces: Sequence[Trace2D], title: str) -> None:
         top.set_ylabel("stated setting\ndistance (mm)")
         top.set_title(f"{t.name}: {t.caption}", fontsize=9)
         top.tick_params(labelbottom=False)
-        bottom.fill_between(t.bin_s, -t.bin_sigma, t.bin_sigma, color="#cfe8d5", label="±1σ of a bin", linewidth=0)
+        bottom.fill_between(
+            t.bin_s, -t.bin_sigma, t.bin_sigma, color="#cfe8d5", label="±1σ of a bin, pose included", linewidth=0
+        )
         bottom.plot(t.s, t.after, ".", color="#b9b9b9", markersize=1.2, label="profiles", zorder=1)
         bottom.plot(t.bin_s, t.bin_after, "o-", color=EXPLAINED, markersize=2.5, linewidth=0.8, label="bins")
         bottom.axhline(0, color=GREY, linewidth=0.6)
@@ -183,11 +187,11 @@ def figure8(
     """
     columns = min(len(traces), 4)
     rows = -(-len(traces) // columns)
-    figure = Figure(figsize=(4.3 * columns + 0.4, 4.9 * rows + 0.7), layout="constrained")
+    figure = Figure(figsize=(4.3 * columns + 0.4, 4.9 * rows + 1.2), layout="constrained")
     for i, (t, note) in enumerate(zip(traces, notes, strict=True)):
         axes = figure.add_subplot(rows, columns, i + 1)
-        axes.plot(*t.stated.T, color=STATED, linewidth=1.4, dashes=(4, 2), label="vector model, stated setting")
-        axes.plot(*t.explained.T, color=EXPLAINED, linewidth=1.4, label="vector model, settings fitted")
+        axes.plot(*t.stated.T, color=STATED, linewidth=1.4, dashes=(4, 2), label="model, stated setting")
+        axes.plot(*t.explained.T, color=EXPLAINED, linewidth=1.4, label="model, settings fitted")
         step = max(1, len(t.points) // 40)
         axes.plot(*t.points[::step].T, "o", color=MEASURED, markersize=3.2, markerfacecolor="none", label="measured")
         axes.plot(0, 0, "+", color="black", markersize=8)
@@ -195,7 +199,8 @@ def figure8(
         axes.set(xlim=(-size[0] / 2, size[0] / 2), ylim=(-size[1] / 2, size[1] / 2), xlabel="y (mm)", ylabel="z (mm)")
         axes.set_title(f"{t.name}\n{note}", fontsize=9)
         _plain(axes)
-        if i == 0:
-            axes.legend(fontsize=7, loc="lower left", framealpha=0.9)
-    figure.suptitle(footer, fontsize=9)
+    # Outside the panels: a trace may run through any of their corners.
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncol=3 if columns > 1 else 1)
+    figure.suptitle(fill(footer, 62 * columns), fontsize=9)
     _save(figure, path)
