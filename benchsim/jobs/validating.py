@@ -177,7 +177,7 @@ def _on_board(curve: Curve, screen: Screen) -> NDArray[np.float64]:
 
 
 def _caption(v: ExposureValidation) -> str:
-        agrees = {True: "agrees", False: "disagrees", None: "cannot tell"}[v.agrees]
+    agrees = {True: "agrees", False: "disagrees", None: "cannot tell"}[v.agrees]
     return f"χ² {v.bench.chi2_after:.0f} of {v.bench.dof}, p = {v.bench.p_after:.2f}, {agrees}"
 
 
