@@ -1,8 +1,9 @@
 """Are the p-values of ``validate`` uniform on clean recordings?
 
 Every case is a recording of one exposure: a setting drawn about those of ``scenes/campaign12.toml``, setting errors
-from its ``[uncertainty]``, rendered, read back and compared with the vector model (as ``validate`` does) and with the
-ray model. On clean recordings the p-values after the setting errors must be uniform: Kolmogorov-Smirnov at 1 %.
+from its ``[uncertainty]``, rendered, read back and validated against the vector model with what ``[physics]`` adds to
+it (``p_value`` of ``validation.json``), and as printed. On clean recordings the p-values after the setting errors must
+be uniform: Kolmogorov-Smirnov at 1 %.
 
 Each case is written as it ends; a stopped study resumes. Prints both tests and the spread of the setting errors found.
 """
@@ -73,22 +74,22 @@ def main() -> None:
             "seed0": args.seed,
             "seed": seed,
             "setting": exposure.setting,
-            "vector": v["after"],
-            "bench": v["bench"]["after"],
+            "with physics": v["after"],
+            "as printed": v["vector_alone"]["after"],
             "pulls": v["pulls"],
-            "converged": v["converged"] and v["bench"]["converged"],
+            "converged": v["converged"] and v["vector_alone"]["converged"],
             "profiles": len(main_ridge),
         }
         rows.append(row)
         with args.out.open("a") as out:
             out.write(json.dumps(row) + "\n")
     print(f"{len(rows)} clean recordings, seed {args.seed}; converged: {sum(r['converged'] for r in rows)}")
-    for model in ("vector", "bench"):
+    for model in ("with physics", "as printed"):
         p = np.array([r[model]["p_value"] for r in rows])
         chi2 = np.array([r[model]["chi2"] / r[model]["dof"] for r in rows])
         test = kstest(p, "uniform")
         print(
-            f"against {model}: chi2/dof {chi2.mean():.3f} ± {chi2.std() / math.sqrt(len(chi2)):.3f}; "
+            f"vector model {model}: chi2/dof {chi2.mean():.3f} ± {chi2.std() / math.sqrt(len(chi2)):.3f}; "
             f"KS D = {test.statistic:.3f}, p = {test.pvalue:.3f}; bar p >= 0.01: "
             f"{'met' if test.pvalue >= 0.01 else 'missed'}; below 0.01: {np.mean(p < 0.01):.3f}, "
             f"deciles {np.histogram(p, 10, (0, 1))[0].tolist()}"

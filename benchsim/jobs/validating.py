@@ -53,7 +53,7 @@ class ValidationResult:
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
         wide = max(16, *(len(v.name) for v in self.exposures))
-        heads = ("stated setting", "settings fitted", "p", "agrees (p as printed)")
+        heads = ("stated setting", "settings fitted", "p", "agrees")
         lines = ["rms distance from the vector model, on the screen and as a lean of the normal:"]
         lines.append(f"{'':<{wide}}{heads[0]:>23}{heads[1]:>20}{heads[2]:>7}  {heads[3]}")
         words = {True: "yes", False: "no", None: "cannot tell"}
@@ -63,12 +63,16 @@ class ValidationResult:
             lines.append(
                 f"{v.name:<{wide}}{before['rms_mm']:9.3f} mm{before['rms_mrad']:7.3f} mrad"
                 f"{1e3 * after['rms_mm']:7.1f} µm{1e3 * after['rms_mrad']:6.1f} µrad"
-                f"{after['p_value']:7.3f}  {words[v.agrees]} ({row['vector_alone']['after']['p_value']:.3f})"
+                f"{after['p_value']:7.3f}  {words[v.agrees]}"
             )
         r = self.recording.mirror.radius
-        lines.append(f"of it the polygon, and r = {r:.1f} mm neglected (normal kept; aimed without it):")
+        lines.append(f"of it the polygon; r = {r:.1f} mm neglected, normal kept or aimed without it;")
+        lines.append("and p of the model as printed, without polygon and beam:")
         for v in self.exposures:
-            lines.append(f"{v.name:<{wide}}{v.polygon_mm:9.3f} mm{v.radius_mm:15.2f} mm;{v.radius_own_aim_mm:8.3f} mm")
+            lines.append(
+                f"{v.name:<{wide}}{v.polygon_mm:9.3f} mm{v.radius_mm:10.2f} mm{v.radius_own_aim_mm:8.3f} mm"
+                f"{v.vector.p_after:18.3f}"
+            )
         lines += [f"lost: {sentence}" for sentence in self.lost]
         if self.folder is not None:
             lines.append(f"written: {self.folder}/")
