@@ -175,7 +175,7 @@ def test_a_lost_exposure_is_dropped_and_said(recording, tmp_path):
 @pytest.mark.xfail(
     raises=ValueError,
     strict=False,
-    reason="without the pose the search for the ridge at times follows print or an edge",
+    reason="without the pose the search at times follows print or an edge",
 )
 def test_a_single_image_is_fitted_in_pixels(rendered, ran, tmp_path):
     """Pixels of the ridge are those of the full fit; nothing is said in mm."""
