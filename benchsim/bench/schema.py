@@ -35,8 +35,8 @@ class LaserTable(Table):
 class MirrorTable(Table):
     shape: Literal["polygon", "cylinder"] = "polygon"
     facets: Annotated[int, Field(ge=3, le=360)] = 12
-    diameter_mm: Positive = 35.0
-    height_mm: Positive = 2.0
+    diameter_mm: Annotated[float, Field(gt=0, le=500)] = 35.0
+    height_mm: Annotated[float, Field(gt=0, le=500)] = 2.0
     stands_for: Literal["elevation", "azimuth"] = "elevation"
 
 

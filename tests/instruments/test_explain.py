@@ -124,7 +124,6 @@ def test_a_shift_of_three_sigma_is_explained_though_no_single_error_can_be_named
     assert found.p_before < 1e-10 and found.p_after > 1e-4
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="explain stacks no columns where nothing is free")
 def test_a_prior_of_zero_holds_every_parameter(bench, predict):
     theta = np.zeros(len(NAMES))
     theta[0] = 2.0
@@ -135,7 +134,6 @@ def test_a_prior_of_zero_holds_every_parameter(bench, predict):
     assert found.p_after < 1e-10
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="explain stacks no columns where nothing is free")
 def test_what_all_points_share_is_honoured(predict):
     """Rationale: a camera pose moves all points together; taken as independent noise it would condemn every model.
 

@@ -145,9 +145,9 @@ def explain(points: Array, binned: Binned, predict: Predict, prior: Array, *, it
     hessian = np.eye(len(free))
     for _ in range(iterations):
         # Central differences of 5 % of a prior sigma: rounding and third order both stay far below a µm.
-        jacobian = np.column_stack(
-            [(binned.weights @ (distances(x + h)[0] - distances(x - h)[0])) / 0.1 for h in 0.05 * np.eye(len(free))]
-        ).reshape(len(binned.s), len(free))
+        jacobian = np.zeros((len(binned.s), len(free)))
+        for k, h in enumerate(0.05 * np.eye(len(free))):
+            jacobian[:, k] = binned.weights @ (distances(x + h)[0] - distances(x - h)[0]) / 0.1
         weighted = cho_solve(factor, jacobian)
         hessian = jacobian.T @ weighted + np.eye(len(free))
         step = -np.linalg.solve(hessian, weighted.T @ (binned.weights @ after) + x)
