@@ -47,6 +47,10 @@ FLANK = (10.0, 16.0)
 from the line's lopsided tail."""
 
 
+FREE = 0.2
+"""Share of the profiles that must be free of saturated pixels: from them the crest's shape is known to the others."""
+
+
 @dataclass(frozen=True)
 class Line:
     """A measured ridge in pixels; arrays over the kept profiles (k,) unless said otherwise.
@@ -190,6 +194,12 @@ class _Fitted:
 def _fit(view: _View, span: tuple[float, float], core: float, half_width: float) -> _Fitted:
     """Shape and profiles in turn: first with a rough noise and one width, then with the noise and widths found."""
     band, open_rows = view.band, require(view.status)
+    free = open_rows & ~(view.clipped & view.core).any(axis=1)
+    if free.sum() < max(LEAST_PROFILES, FREE * open_rows.sum()):
+        share = 100 * (1 - free.sum() / open_rows.sum())
+        raise Unmeasurable(
+            f"the crest of {share:.0f} % of its profiles is saturated, so its shape is unknown", SATURATED
+        )
     unsaturated = view.usable & ~view.clipped
     flank = view.usable & ~view.core
     background = (view.light * flank).sum(axis=1) / np.maximum(flank.sum(axis=1), 1)
@@ -259,8 +269,8 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
     t, status = band.t, view.status.copy()
     saturated = (view.clipped & view.core).sum(axis=1) / np.maximum(view.core.sum(axis=1), 1)
     loose = (profiles.shift_sigma > 0.5 * shape.width(t)) | (np.abs(profiles.shift) > shape.core / 2)
-    status[(status == KEPT) & loose & (saturated > 0)] = SATURATED
-    status[(status == KEPT) & (~fitted.strong | loose)] = FAINT
+    lost = (status == KEPT) & (~fitted.strong | loose)
+    status[lost] = np.where(saturated[lost] > 0, SATURATED, FAINT)
     kept = require(status)
     status[kept & _misshapen(profiles, kept)] = MISSHAPEN
     kept = require(status)

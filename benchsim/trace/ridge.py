@@ -89,6 +89,10 @@ def ridge_points(picture: NDArray[np.floating], usable: Mask | None = None) -> R
     k = np.sqrt(2 * np.log(3 * len(SCALES) * pixels / FALSE_POINTS))
     for sigma in SCALES:
         near = valid if valid.all() else ndimage.binary_erosion(valid, iterations=int(2 * sigma), border_value=1)
+        # Beyond the picture's edge the filter sees its last row again, whose noise then counts more than once.
+        inner = np.zeros_like(near)
+        inner[(edge := int(3 * sigma)) : -edge, edge:-edge] = True
+        near = near & inner
         if not near.any():
             continue
         rows, cols, cross, down, right = (

@@ -241,7 +241,8 @@ def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array, edge
     Light bent at edges e = ±``edge`` falls off as Σ a_i/(x - e_i)²: a/x² + b/x³ with a ≥ 0 and |b| ≤ 2 a ``edge`` times
     `LOPSIDED`, and beyond the core carries the moment 2b/core. b is held to that bound: a line without such tails gets
     no correction and none of its noise. Where b breaks the bound by 3 sigma, or the two halves of the flank disagree on
-    it by 5 (another light), the tails are not an edge's and nothing is added; the moment refused for its size is doubt.
+    it by 5 and by all of it (another light), the tails are not an edge's and nothing is added; the moment refused for
+    its size is doubt.
 
     Returns
     -------
@@ -267,7 +268,7 @@ def _tail(x: Array, basis: Array, core: float, c: Array, covariance: Array, edge
     b = float(mean @ c)
     even = np.stack([np.ones(near.sum()), far[near] ** -2.0], axis=1)
     bound = 2 * LOPSIDED * edge * max(float(np.linalg.lstsq(even, (basis @ c)[near], rcond=None)[0][1]), 0.0)
-    disagree = abs(float(difference @ c)) > 5 * sigma(difference) + 0.5 * abs(b)
+    disagree = abs(float(difference @ c)) > 5 * sigma(difference) + abs(b)
     if disagree:
         return mean * 2 / core, 0.0, 0.0
     if abs(b) > bound + 3 * sigma(mean):

@@ -79,9 +79,13 @@ def _centroids(
     sigma = max(1.0, fwhm) if fwhm else half_width / 3
     for _ in range(5):
         x = n - offset[:, None]
-        w = np.exp(-0.5 * (x / sigma) ** 2) * value
+        w = np.exp(-0.5 * (x / sigma) ** 2)
+        # Cut by a mark or the board's edge a row's centroid is not the line's.
+        whole = (w * known).sum(axis=1) > 0.98 * np.sqrt(2 * np.pi) * sigma
+        w = w * value * whole[:, None]
         flux, pull = (np.convolve(a, pool, "same") for a in (w.sum(axis=1), (w * x).sum(axis=1)))
-        significance = flux / (noise * np.sqrt(len(pool) * sigma * np.sqrt(np.pi)))
+        pooled = np.maximum(np.convolve(whole, pool, "same"), 1)
+        significance = np.where(whole, flux / (noise * np.sqrt(pooled * sigma * np.sqrt(np.pi))), 0.0)
         weight = np.where(significance > 4, np.minimum(significance, 50.0) ** 2, 0.0)
         if (weight > 0).sum() < LEAST_PROFILES:
             raise Unmeasurable("too little light along it", FAINT)

@@ -1,0 +1,164 @@
+"""The parts of the ridge's measurement, each against a case with a known answer."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+from benchsim.trace.band import band_along
+from benchsim.trace.noise import centre_noise, fit_pixel_noise, spline_basis
+from benchsim.trace.profile import fit_profiles
+from benchsim.trace.ridge import best_curve, ridge_points
+from benchsim.trace.shape import fit_shape
+
+
+def arc_picture(shape=(600, 800), radius=1500.0, sigma=3.0, peak=20.0):
+    """A Gaussian line along a circle about (radius + 300, 200); distance of every pixel from it; peak over noise 1."""
+    v, u = np.mgrid[0 : shape[0], 0 : shape[1]].astype(float)
+    distance = np.hypot(u - radius - 300, v - 200) - radius
+    return peak * np.exp(-0.5 * (distance / sigma) ** 2), distance
+
+
+def test_noise_alone_raises_hardly_any_ridge_point():
+    """At most one false point is expected per picture of noise; more than 25 in 8 pictures has p < 1e-6."""
+    found = sum(len(ridge_points(np.random.default_rng(seed).normal(size=(400, 500))).uv) for seed in range(8))
+    assert found <= 25
+
+
+def test_the_curve_is_found_among_clutter():
+    """Rationale: the coarse search must not need a clean picture. Set-up: an arc of peak 6 sigma, 60 bright strokes.
+
+    Expectation: every point of the curve lies within a reduced pixel and a half of the arc, over most of the picture.
+    """
+    rng = np.random.default_rng(3)
+    picture, _ = arc_picture(peak=6.0)
+    picture = picture + rng.normal(size=picture.shape)
+    for _ in range(60):
+        v, u = rng.integers(20, 560), rng.integers(20, 760)
+        picture[v : v + 3, u : u + 20] += 8.0
+    points = ridge_points(picture)
+    curve = best_curve(points, seed=1)
+    assert curve is not None
+    off = np.abs(np.hypot(curve.points[:, 0] - 1800, curve.points[:, 1] - 200) - 1500)
+    assert off.max() < 1.5 * points.reduction + 2.0
+    assert np.ptp(curve.points[:, 1]) > 540
+
+
+def test_unusable_pixels_raise_no_ridge():
+    picture, _ = arc_picture()
+    picture[:, 600:640] += 50.0  # a bright bar, which is no board
+    usable = np.ones(picture.shape, bool)
+    usable[:, 590:650] = False
+    rng = np.random.default_rng(0)
+    uv = ridge_points(picture + rng.normal(size=picture.shape), usable).uv
+    assert np.mean((uv[:, 0] > 570) & (uv[:, 0] < 670)) < 0.02
+
+
+def test_the_band_holds_every_pixel_once_at_its_true_distance():
+    _, distance = arc_picture()
+    turn = np.linspace(-0.12, 0.25, 400)
+    points = np.stack([1800 - 1500 * np.cos(turn), 200 + 1500 * np.sin(turn)], axis=1)
+    length = 1500 * (turn - turn[0])
+    band = band_along(make_interp_spline(length, points), (0.0, length[-1]), 12.0, distance.shape)
+    v, u = band.v[band.inside], band.u[band.inside]
+    assert len(np.unique(v * 10000 + u)) == len(v)
+    true = distance[v, u]
+    sign = np.sign(np.sum(true * band.n[band.inside]))
+    assert np.abs(sign * band.n[band.inside] - true).max() < 2e-4
+    middle = band.inside[50:-50].sum(axis=1)
+    assert middle.mean() == pytest.approx(24.0, rel=0.01)
+
+
+def profile_pixels(rng, count=400, half=15.0):
+    """Places (count, 30) of the pixels of profiles at random phase."""
+    return np.arange(-half + 0.5, half)[None, :] + rng.uniform(-0.5, 0.5, (count, 1))
+
+
+def lopsided(x):
+    """A line without symmetry whose centroid is 0: two Gaussians."""
+    first, second = 0.6, 0.4
+    return first * np.exp(-0.5 * ((x + 0.8) / 1.2) ** 2) / (1.2 * np.sqrt(2 * np.pi)) + second * np.exp(
+        -0.5 * ((x - 1.2) / 2.0) ** 2
+    ) / (2.0 * np.sqrt(2 * np.pi))
+
+
+def test_shape_and_profiles_find_a_lopsided_line():
+    """Set-up: 400 noisy profiles of a line without symmetry, shifted by known amounts with mean 0, flux 100, noise 1.
+
+    Expectation: the shape's centroid within 5 of its own sigmas of 0; shifts with pulls of unit variance (400 values:
+    the std lies within 0.86 … 1.14 with false-alarm rate 1e-4); fluxes unbiased.
+    """
+    rng = np.random.default_rng(5)
+    x = profile_pixels(rng)
+    t = np.arange(400.0)
+    shift = rng.normal(0, 0.05, 400)
+    shift -= shift.mean()
+    y = 100 * lopsided(x - shift[:, None]) + 7.0 + rng.normal(size=x.shape)
+    row = np.repeat(np.arange(400), x.shape[1])
+    shape = fit_shape(
+        x.ravel(), t[row], (y.ravel() - 7.0) / 100, np.full(x.size, 1e4), (0.0, 399.0), core=8.0, half_width=15.0
+    )
+    own = np.linalg.norm(shape.centroid_factor(t).mean(axis=0))
+    assert abs(shape.centroid(200.0)) < 5 * own + 1e-3
+    fit = fit_profiles(x, y, np.ones_like(x), t, shape)
+    pull = (fit.shift + shape.centroid(t) - shift) / fit.shift_sigma
+    assert 0.86 < pull.std() < 1.14
+    assert abs(fit.flux.mean() - 100) < 5 * fit.flux_sigma.mean() / 20 + 0.5
+    assert np.abs(fit.background.mean() - 7.0) < 0.1
+
+
+def test_the_moment_of_diffraction_tails_is_added_and_that_of_other_light_is_not():
+    """Rationale: tails a/(x - e)² beyond the window carry part of the centroid.
+
+    Set-up, almost without noise: a line with tails of two unequal edges at ±2, its centroid taken over ±4000; a plain
+    Gaussian with a ghost in its flank. Expectation: the first centroid within 0.004 of the truth, which the window
+    alone misses by more than 0.012; the second one is that of the Gaussian, the ghost ignored.
+    """
+    grid = np.arange(-4000.0, 4000.0, 0.05)
+
+    def tailed(x):
+        tails = 0.6 / (1 + (x - 2) ** 2) + 0.4 / (1 + (x + 2) ** 2)
+        return tails + 3 * np.exp(-0.5 * (x / 1.7) ** 2)
+
+    total = tailed(grid).sum()
+    centre = (grid * tailed(grid)).sum() / total
+    x = np.arange(-20, 20, 0.07)
+
+    def fitted(light):
+        y = np.tile(light / (light.sum() * 0.07), 40) + np.random.default_rng(0).normal(0, 1e-5, 40 * len(x))
+        where, along = np.tile(x, 40), np.repeat(np.linspace(0, 100, 40), len(x))
+        return fit_shape(where, along, y, np.full(len(y), 1e10), (0.0, 100.0), core=6.0, half_width=18.0)
+
+    shape = fitted(tailed(x))
+    window = np.abs(x - centre) < 6
+    level = tailed(x)[np.abs(x) > 6].mean()
+    raw = (x * (tailed(x) - level))[window].sum() / (tailed(x) - level)[window].sum()
+    assert abs(raw - centre) > 0.012
+    assert abs(shape.centroid(50.0) - centre) < 0.004
+    ghost = fitted(np.exp(-0.5 * (x / 1.7) ** 2) + 0.05 * np.exp(-0.5 * ((x - 12) / 1.0) ** 2))
+    assert abs(ghost.centroid(50.0)) < 2e-3
+
+
+def test_pixel_noise_is_found_from_residuals():
+    """Read 20, shot 2 per unit of light, speckle 0.01 of the signal squared: variance at three levels within 5 %."""
+    rng = np.random.default_rng(8)
+    signal = np.abs(rng.normal(0, 150, 40000))
+    level = signal + 100
+    true = 20 + 2 * level + 0.01 * signal**2
+    noise = fit_pixel_noise(rng.normal(size=40000) * np.sqrt(true), level, signal, np.zeros(40000))
+    for s in (0.0, 100.0, 300.0):
+        want = 20 + 2 * (s + 100) + 0.01 * s**2
+        assert noise.variance(np.array(s + 100), np.array(s)) == pytest.approx(want, rel=0.05)
+
+
+@pytest.mark.parametrize("mixing", [0.0, 0.5])
+def test_scatter_and_correlation_of_centres(mixing):
+    """White noise, and noise mixed with its neighbour: scale within 5 sigmas, correlation at lag 1 within 0.1."""
+    rng = np.random.default_rng(4)
+    t = np.arange(1500.0)
+    white = rng.normal(size=1501)
+    true = (white[1:] + mixing * white[:-1]) / np.sqrt(1 + mixing**2)
+    offset = 1.3 * 0.02 * true + 1e-7 * (t - 700) ** 2
+    noise = centre_noise(t, offset, np.full(1500, 0.02), spline_basis(t, (0, 1499.0), 40.0))
+    assert abs(noise.scale - 1.3) < 5 * noise.scale_sigma
+    first = noise.correlation[1]
+    assert first == 0 if mixing == 0 else abs(first - 0.4) < 0.1
