@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import Placement, place
 from benchsim.render import backend
@@ -66,6 +67,10 @@ class ScreenMap:
     def z(self) -> Array:
         """Centres of the rows (nz,) [mm]."""
         return self.z0 + self.pitch * np.arange(self.values.shape[0], dtype=float)
+
+
+FAINT = 1e-7
+"""Share of the laser's light on the board below which the mirror is out of the beam; Fig. 7 has 7e-2."""
 
 
 def irradiance(
@@ -132,10 +137,21 @@ def irradiance(
         target = recording.render.relative_error if relative_error is None else relative_error
         per_replicate = FIRST
         mean, error = _replicates(tracer, film, per_replicate, rng)
+        share = float(mean.sum()) * s.measure
+        if not share > FAINT:
+            raise BenchsimError(
+                f"{exposure.name}: the mirror hardly meets the beam, {share:.0e} of the laser's light reaches the board; "
+                "mend mirror_position_mm, the laser's angles or [uncertainty]"
+            )
         while error > target and per_replicate < MOST:
             # The noise falls at least like 1/n; the loop mends a step too short.
             per_replicate = min(int(per_replicate * max(1.5, (error / target) ** 0.75)), MOST)
             mean, error = _replicates(tracer, film, per_replicate, rng)
+        if not error <= target:
+            raise BenchsimError(
+                f"{exposure.name}: the light's noise is {error:.1e} after {per_replicate * REPLICATES:.0e} rays, not "
+                f"{target:.1e}; give a larger render.relative_error"
+            )
     values = film.spread(mean) * (s.measure / pitch**2)
     return ScreenMap(values, film.y0, film.z0, pitch, error, per_replicate * REPLICATES)
 
