@@ -104,7 +104,7 @@ class EdgeFit:
     blur : (e,) px
         Standard deviation of the step's blur, the pixel's own width included.
     used : (e,)
-        Fraction of the edge's length (without its ends) that the fit rests on.
+        Fraction of the pixels along the edge (without its ends) that the fit rests on, on the poorer side.
     scatter : (e,)
         rms of the residuals, as a fraction of the contrast.
     """
@@ -512,8 +512,10 @@ def _weights(residual: Array, use: Mask, near: Mask) -> Array:
 
 
 def _used(band: _Band, line: _Line, shape: Array, weight: Array, margin: Array) -> Array:
-    """Weight within 1.5 blurs of the line, as a fraction of the pixels (one per px²) that belong there."""
+    """Weight within 1.5 blurs of the line on the poorer side, as a fraction of the pixels (one per px²) there."""
     _, d = band.coordinates(line)
     reach = 1.5 * np.exp(shape[:, _BLUR])
-    near = np.abs(d) < reach[:, None]
-    return (weight * near).sum(axis=1) / (2 * reach * (line.length - 2 * margin))
+    area = reach * (line.length - 2 * margin)
+    black = (weight * ((d < 0) & (d > -reach[:, None]))).sum(axis=1)
+    white = (weight * ((d > 0) & (d < reach[:, None]))).sum(axis=1)
+    return np.minimum(black, white) / area

@@ -122,7 +122,7 @@ def solve_pose(
             break
     residuals = observations.corners - _project_at(camera, fit.parameters, observations.board)[0]
     side = float(np.median(np.linalg.norm(np.diff(observations.corners, axis=1), axis=-1)))
-    off = float(np.median(np.linalg.norm(residuals, axis=-1)))
+    off = float(np.median(np.nan_to_num(np.linalg.norm(residuals, axis=-1), nan=np.inf)))
     if off > side / 4 or used.sum() < FEWEST_MARKS or 2 * used.sum() < n:
         raise BenchsimError(
             f"{observations.name}: the marks fit no pose of the board ({off:.1f} px off in the median, {used.sum()} of "
@@ -156,6 +156,7 @@ def join(first: MarkObservations, second: MarkObservations) -> MarkObservations:
         blur=np.concatenate([first.blur, second.blur]),
         unknown=tuple(sorted({*first.unknown, *second.unknown})),
         dropped=first.dropped + second.dropped,
+        gamma=first.gamma,
     )
 
 
@@ -324,13 +325,13 @@ def _refine(
         prior = (np.eye(10)[6:] / np.where(fitted, sigma, 1.0)[:, None])[fitted][:, free]
         return np.concatenate([data, prior])
 
-    solution = least_squares(misfit, np.zeros(len(free)), slope, x_scale="jac", method="trf", xtol=1e-12, ftol=1e-12)
+    solution = least_squares(misfit, np.zeros(len(free)), slope, x_scale="jac", method="lm", xtol=1e-12, ftol=1e-12)
     end = start.moved(unpack(solution.x))
     # Derivatives at the end itself, where the perturbation is δ of the final R.
     start = end
     j = slope(np.zeros(len(free)))
-    size = np.linalg.norm(j, axis=0)
-    small = np.linalg.inv((j / size).T @ (j / size)) / np.outer(size, size)
+    size = np.maximum(np.linalg.norm(j, axis=0), 1e-300)
+    small = np.linalg.pinv((j / size).T @ (j / size)) / np.outer(size, size)
     covariance = np.zeros((10, 10))
     covariance[np.ix_(free, free)] = small
     return _Fit(end, covariance if fitted.any() else covariance[:6, :6], float(solution.cost))
