@@ -140,7 +140,7 @@ def irradiance(
         share = float(mean.sum()) * s.measure
         if not share > FAINT:
             raise BenchsimError(
-                f"{exposure.name}: the mirror hardly meets the beam, {share:.0e} of the laser's light reaches the board; "
+                f"{exposure.name}: the mirror hardly meets the beam, {share:.0e} of its light reaches the board; "
                 "mend mirror_position_mm, the laser's angles or [uncertainty]"
             )
         while error > target and per_replicate < MOST:
