@@ -1,1 +1,32 @@
+"""From photograph to trace: light, marks, camera pose, ridge with error bars, table.
 
+>>> measured = extract(recording, recording.exposures[0])
+>>> covariance(only_ridge(measured, 0))
+"""
+
+from benchsim.trace.extract import PixelTrace, extract, extract_pixels
+from benchsim.trace.image import Photograph, read_image
+from benchsim.trace.marks import board_corners, find_marks
+from benchsim.trace.pose import Pose, solve_pose, to_board, to_pixels
+from benchsim.trace.table import RidgeNoise, Trace, covariance, only_ridge, read_table, thinned, write_table
+
+__all__ = [
+    "Photograph",
+    "PixelTrace",
+    "Pose",
+    "RidgeNoise",
+    "Trace",
+    "board_corners",
+    "covariance",
+    "extract",
+    "extract_pixels",
+    "find_marks",
+    "only_ridge",
+    "read_image",
+    "read_table",
+    "solve_pose",
+    "thinned",
+    "to_board",
+    "to_pixels",
+    "write_table",
+]
