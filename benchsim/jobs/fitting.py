@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -107,9 +108,7 @@ class PixelFit:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``conics.json``; lengths are in pixels."""
-        row = conics.to_dict(self.conic)
-        renamed = {key.replace("_mm", "_px").replace("per_mm", "per_px"): value for key, value in row.items()}
-        renamed["frame"] = {key.replace("mm", "px"): value for key, value in row["frame"].items()}
+        renamed = _in_pixels(conics.to_dict(self.conic))
         return {
             "format": "benchsim-conics/1",
             "unit": "px",
@@ -125,6 +124,13 @@ class PixelFit:
             f"  free conic in pixels: {known['kind'].value}, eccentricity {_interval(known['eccentricity'])}\n"
             f"  pixels are not a plane: without marks nothing is said in mm\nwritten: {self.folder}/"
         )
+
+
+def _in_pixels(value: Any) -> Any:
+    """JSON values whose keys say mm, for a fit whose lengths are pixels."""
+    if isinstance(value, dict):
+        return {re.sub(r"_mm(?=_|$)", "_px", key): _in_pixels(v) for key, v in value.items()}
+    return [_in_pixels(v) for v in value] if isinstance(value, list) else value
 
 
 def fit(

@@ -35,12 +35,15 @@ Array = NDArray[np.float64]
 
 MOST_RIDGES = 4
 
+RETRIES = 3
+"""Curves that may turn out to be no trace before the search gives up."""
+
 MEND = {
     OFF_PICTURE: "aim the camera so that it sees the trace",
     OFF_BOARD: "move the screen so that the trace crosses it",
     ON_MARK: "move the marks or the trace apart",
     SATURATED: "expose shorter",
-    FAINT: "expose longer",
+    FAINT: "expose longer, or show more of the trace",
 }
 
 
@@ -272,27 +275,31 @@ def _picture(photograph: Photograph, dark: Photograph | None, blocked: NDArray[n
 def _lines(name: str, picture: Picture, most: int) -> tuple[list[Line], NDArray[np.intp], Array]:
     """Ridges by falling flux; status and place of the profiles dropped from them."""
     lines: list[Line] = []
+    refused: BenchsimError | None = None
     points = ridge_points(picture.signal, picture.blocked == KEPT)
-    for number in range(most):
-        coarse = best_curve(points)
+    for _ in range(most + RETRIES):
+        coarse = best_curve(points) if len(lines) < most else None
         if coarse is None:
-            if number == 0:
-                raise BenchsimError(
-                    f"{name}: no trace found: it is absent, off the screen or too faint; check that the laser is on "
-                    "and the exposure long enough"
-                )
             break
         try:
             line = measure_line(picture, coarse, 1.5 * points.reduction + 2.0)
         except Unmeasurable as error:
-            if number == 0:
-                mend = MEND.get(error.status, "look at the picture and mend what is in its way")
-                raise BenchsimError(f"{name}: the trace cannot be measured: {error}; {mend}") from None
-            break
-        lines.append(line)
-        if number + 1 < most:
-            picture = replace(picture, blocked=_without(picture.blocked, line))
-            points = points.where(picture.blocked == KEPT)
+            if lines:
+                break
+            mend = MEND.get(error.status, "look at the picture and mend what is in its way")
+            refused = refused or BenchsimError(f"{name}: the trace cannot be measured: {error}; {mend}")
+            # Print or an edge that looked like a line: the trace may be what is left.
+            path, width = coarse.points, 3.0 * points.reduction
+        else:
+            lines.append(line)
+            path, width = line.curve(np.arange(line.span[0], line.span[1], 2.0)), 2 * line.core
+        picture = replace(picture, blocked=_without(picture.blocked, path, width))
+        points = points.where(picture.blocked == KEPT)
+    if not lines:
+        raise refused or BenchsimError(
+            f"{name}: no trace found: it is absent, off the screen or too faint; check that the laser is on and the "
+            "exposure long enough"
+        )
     lines.sort(key=lambda x: -float(x.flux.sum()))
     return (
         lines,
@@ -301,12 +308,11 @@ def _lines(name: str, picture: Picture, most: int) -> tuple[list[Line], NDArray[
     )
 
 
-def _without(blocked: NDArray[np.uint8], line: Line) -> NDArray[np.uint8]:
-    """The board less the band of a ridge, twice its window to either side: its side lobes are no ridges."""
+def _without(blocked: NDArray[np.uint8], path: Array, width: float) -> NDArray[np.uint8]:
+    """The board less a band about a path: twice a ridge's window to either side, so its side lobes are no ridges."""
     out = blocked.copy()
-    points = line.curve(np.arange(line.span[0], line.span[1], 2.0))
     band = np.zeros(blocked.shape, np.uint8)
-    cv2.polylines(band, [np.round(points).astype(np.int32)], False, 1, thickness=2 * int(np.ceil(2 * line.core)) + 1)
+    cv2.polylines(band, [np.round(path).astype(np.int32)], False, 1, thickness=2 * int(np.ceil(width)) + 1)
     out[(band > 0) & (out == KEPT)] = CROSSING
     return out
 

@@ -88,7 +88,9 @@ def _centroids(
         significance = np.where(whole, flux / (noise * np.sqrt(pooled * sigma * np.sqrt(np.pi))), 0.0)
         weight = np.where(significance > 4, np.minimum(significance, 50.0) ** 2, 0.0)
         if (weight > 0).sum() < LEAST_PROFILES:
-            raise Unmeasurable("too little light along it", FAINT)
+            raise Unmeasurable(
+                f"{(weight > 0).sum()} profiles along it hold light and {LEAST_PROFILES} are needed", FAINT
+            )
         # Under a weight of the line's own width the centroid sees half of the shift.
         move = np.where(weight > 0, 2 * pull / np.where(flux > 0, flux, 1.0), 0.0)
         target = offset + np.clip(move, -2 * sigma, 2 * sigma)

@@ -172,11 +172,6 @@ def test_a_lost_exposure_is_dropped_and_said(recording, tmp_path):
     assert "overlay-001.png" in names(tmp_path / "out"), "the older result stays"
 
 
-@pytest.mark.xfail(
-    raises=ValueError,
-    strict=False,
-    reason="without the pose the search at times follows print or an edge",
-)
 def test_a_single_image_is_fitted_in_pixels(rendered, ran, tmp_path):
     """Pixels of the ridge are those of the full fit; nothing is said in mm."""
     done = jobs.fit(rendered / "001.png", tmp_path / "out", pixels=True)
