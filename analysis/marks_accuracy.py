@@ -154,10 +154,14 @@ def own_pictures(seed: int, poses: int, draws: int) -> bool:
         ("CPU, file to pose, median of 3 MP pictures", np.median(cpu), f"s (bar {CPU_BAR})",
          np.median(cpu) <= CPU_BAR),
     ]  # fmt: skip
-    for label, value, unit, met in verdicts:
-        print(f"{label}: {value:.4f} {unit}: {'met' if met else 'NOT MET'}")
+    # Eight pictures of four poses know the width of a pull to no better than a fifth.
+    judged = [v for v in verdicts if n >= 100 or not v[0].startswith("pulls")]
+    for verdict in verdicts:
+        label, value, unit, met = verdict
+        word = ("met" if met else "NOT MET") if verdict in judged else "not judged below 100 pictures"
+        print(f"{label}: {value:.4f} {unit}: {word}")
     print("pulls by parameter:", " ".join(f"{x:.2f}" for x in pulls.std(axis=0)))
-    return missing == 0 and all(met for *_, met in verdicts)
+    return missing == 0 and all(met for *_, met in judged)
 
 
 def main() -> int:

@@ -330,7 +330,7 @@ def _refine(
     # Derivatives at the end itself, where the perturbation is δ of the final R.
     start = end
     j = slope(np.zeros(len(free)))
-    size = np.maximum(np.linalg.norm(j, axis=0), 1e-300)
+    size = np.maximum(np.linalg.norm(j, axis=0), 1e-150)
     small = np.linalg.pinv((j / size).T @ (j / size)) / np.outer(size, size)
     covariance = np.zeros((10, 10))
     covariance[np.ix_(free, free)] = small
