@@ -4,8 +4,8 @@ Both in one run, in geometric optics, since the stock tracer knows no other; the
 printed too. CPU seconds are those of the whole process, all threads.
 
 1. Rays per CPU second. Fast path: the whole of `irradiance` (preparing the exposure, sampling, polygon, a phase per
-   ray, binning, noise estimate). Stock `ptracer`: `mi.render` only, at phases that light the board; loading its scenes is
-   not counted.
+   ray, binning, noise estimate). Stock `ptracer`: `mi.render` only, at phases that light the board; loading its
+   scenes is not counted.
 2. Hits: the same samples traced in float64 vectors of the world frame.
 3. A 2000 × 1500 picture with 1 % noise per lit pixel (rms over the pixels above 5 % of the brightest). Fast path:
    `irradiance` and `photograph`, the noise measured from pictures of several seeds. Stock: the noise measured from
