@@ -5,7 +5,7 @@ shapes), 16 and 8 bit in turn, with and without a dark picture in turn, read fro
 the same with the brightest 20 % of the ridge saturated, and as JPEG of quality 90; with ``--rendered``, recordings
 rendered by benchsim against the ray model's prediction, marks and pose included.
 
-    python analysis/ridge_accuracy.py --seed 1 [--geometries 120] [--rendered] [--quick]
+    python analysis/ridge_accuracy.py --seed 1 [--geometries 120] [--draws 2] [--rendered] [--quick]
 """
 
 from __future__ import annotations
@@ -30,24 +30,34 @@ from benchsim.trace.table import Trace, covariance, only_ridge
 
 @dataclass(frozen=True)
 class Result:
-    """Errors of one picture's profiles [mm], their sigmas, χ² per profile with the full covariance, bound (or nan)."""
+    """Errors of one picture's profiles [mm], their sigmas, χ² per profile with the full covariance, bound (or nan).
+
+    ``mean_sigma``: the stated 1 sigma of the mean error, what the profiles share included.
+    """
 
     error: np.ndarray
     sigma: np.ndarray
     chi2: float
     bound: np.ndarray
     saturated: np.ndarray
+    geometry: int
+    mean_sigma: float
 
     @property
     def bias(self) -> float:
         return float(self.error.mean())
 
 
-def judge(trace: Trace, error: np.ndarray, bound: np.ndarray | None = None) -> Result:
+def judge(
+    trace: Trace, error: np.ndarray, sign: float = 1.0, bound: np.ndarray | None = None, geometry: int = 0
+) -> Result:
+    """``sign``: of the trace's normal along the direction in which the error counts."""
     c = covariance(trace)
     chi2 = float(error @ np.linalg.solve(c, error)) / len(error)
     nothing = np.full(len(error), np.nan)
-    return Result(error, trace.sigma_mm, chi2, nothing if bound is None else bound, trace.saturated)
+    common = np.concatenate([trace.shape_mm, trace.pose_mm], axis=1).mean(axis=0) * sign
+    own = float(np.sqrt(common @ common + np.mean(trace.sigma_mm**2) / len(error)))
+    return Result(error, trace.sigma_mm, chi2, nothing if bound is None else bound, trace.saturated, geometry, own)
 
 
 def photograph(scene, light, folder: Path, rng, bits: int, dark: bool, jpeg: int | None) -> Trace:
@@ -59,7 +69,7 @@ def photograph(scene, light, folder: Path, rng, bits: int, dark: bool, jpeg: int
     return only_ridge(measure(photo, black, pictures.true_pose(scene), Screen(), scene.blur))
 
 
-def study(kind: str, geometries: int, seed: int, folder: Path) -> list[Result]:
+def study(kind: str, geometries: int, seed: int, folder: Path, draws: int = 1) -> list[Result]:
     results = []
     for g in range(geometries):
         rng = np.random.default_rng([seed, g])
@@ -69,15 +79,16 @@ def study(kind: str, geometries: int, seed: int, folder: Path) -> list[Result]:
         light = pictures.expose(scene)
         if kind == "saturated":
             light = brightened(light, 0.2)
-        trace = photograph(scene, light, folder, rng, bits, dark, 90 if kind == "jpeg" else None)
-        s, outward = pictures.to_arc(scene, trace.points)
-        _, beyond = pictures.to_arc(scene, trace.points + 1e-3 * trace.normal)
-        error = outward * np.sign(np.median(beyond - outward))
-        bound = None
-        if kind == "plain":
-            at, sigma = pictures.centre_bound(scene, light, bits, dark)
-            bound = np.interp(s, at, sigma)
-        results.append(judge(trace, error, bound))
+        for _ in range(draws):
+            trace = photograph(scene, light, folder, rng, bits, dark, 90 if kind == "jpeg" else None)
+            s, outward = pictures.to_arc(scene, trace.points)
+            _, beyond = pictures.to_arc(scene, trace.points + 1e-3 * trace.normal)
+            bound = None
+            if kind == "plain":
+                at, sigma = pictures.centre_bound(scene, light, bits, dark)
+                bound = np.interp(s, at, sigma)
+            # Outward from the arc's centre, whichever way the trace runs, so that draws of one geometry compare.
+            results.append(judge(trace, outward, np.sign(np.median(beyond - outward)), bound, g))
     return results
 
 
@@ -119,7 +130,8 @@ def rendered(seed: int, folder: Path, quick: bool) -> list[Result]:
                 samples=200,
             )
             trace = only_ridge(extract(recording, e))
-            results.append(judge(trace, signed_distance(curve, trace.points)[0]))
+            error = signed_distance(curve, trace.points)[0]
+            results.append(judge(trace, error, geometry=len(results)))
     return results
 
 
@@ -129,15 +141,24 @@ def benchsim_scene(name: str) -> Path:
 
 def show(title: str, results: list[Result], bias_bar: float) -> bool:
     n = len(results)
-    bias = np.array([r.bias for r in results])
+    single = np.array([r.bias for r in results])
+    geometry = np.array([r.geometry for r in results])
+    bias = np.array([single[geometry == g].mean() for g in np.unique(geometry)])
+    stated = np.array([r.mean_sigma for r in results])
     error, sigma = (np.concatenate([getattr(r, k) for r in results]) for k in ("error", "sigma"))
     pull = error / sigma
     each = np.array([np.std(r.error / r.sigma) for r in results])
     chi2 = np.array([r.chi2 for r in results])
     print(f"{title}: {n} pictures, {len(error)} profiles, median sigma {np.median(sigma):.4f} mm")
     print(
-        f"  bias: pooled {error.mean():+.4f} ± {bias.std() / np.sqrt(n):.4f} mm; per picture rms "
-        f"{np.sqrt((bias**2).mean()):.4f}, largest {np.abs(bias).max():.4f} mm; bar {bias_bar} mm"
+        f"  bias: pooled {error.mean():+.4f} ± {bias.std() / np.sqrt(len(bias)):.4f} mm; of {len(bias)} geometries, "
+        f"{n // len(bias)} pictures each, largest {np.abs(bias).max():.4f} mm; bar {bias_bar} mm"
+    )
+    print(
+        f"  mean error of single pictures: rms {np.sqrt((single**2).mean()):.4f}, "
+        f"largest {np.abs(single).max():.4f} mm; "
+        f"over its stated sigma ({np.median(stated):.4f} mm in the median): rms "
+        f"{np.sqrt(np.mean((single / stated) ** 2)):.2f}"
     )
     print(
         f"  pulls: std {pull.std():.3f} pooled, {each.min():.2f} … {each.max():.2f} per picture; bar 0.9 … 1.15; "
@@ -166,6 +187,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--geometries", type=int, default=120)
+    parser.add_argument("--draws", type=int, default=2, help="pictures of every plain geometry: a bias is a mean")
     parser.add_argument("--rendered", action="store_true")
     parser.add_argument("--quick", action="store_true", help="12 geometries")
     options = parser.parse_args()
@@ -174,7 +196,7 @@ def main() -> None:
     print(f"seed {options.seed}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        met = show("plain, 16 and 8 bit", study("plain", n, options.seed, folder), 0.01)
+        met = show("plain, 16 and 8 bit", study("plain", n, options.seed, folder, options.draws), 0.01)
         met &= show("brightest 20 % saturated", study("saturated", max(n // 3, 6), options.seed, folder), 0.05)
         met &= show("JPEG quality 90, 8 bit", study("jpeg", max(n // 3, 6), options.seed, folder), 0.05)
         if options.rendered:
