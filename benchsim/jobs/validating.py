@@ -170,7 +170,10 @@ def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) 
     title = result.recording.title or result.recording.folder.name
     pictures.residuals(folder / "residuals.png", traces, f"{title}: distance of the trace from the vector model")
     cylinder = result.recording.mirror.stands_for
-    footer = f"{title}: measured and simulated; {cylinder} cylinder, board seen from the mirror's side (+y right)"
+    footer = (
+        f"{title}: measured and simulated; {cylinder} cylinder, board seen from the mirror's side "
+        "(from behind, as the paper seems to show it, left and right change)"
+    )
     pictures.figure8(folder / "fig8.png", traces, result.recording.screen.size, notes, footer)
 
 
