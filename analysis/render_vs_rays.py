@@ -120,7 +120,7 @@ def main() -> int:
     for label, r, errors in cases:
         wide = 16.0 if "incoherent" in label or "high" in label else 8.0
         # The blur's two further dimensions make the lattice converge no faster than random numbers.
-        wanted = 3 * noise if "incoherent" in label else noise
+        wanted = 6 * noise if "incoherent" in label else noise
         out = compare(r, errors, seed=int(rng.integers(1 << 31)), noise=wanted, reach=wide)
         good = out["centroid_rms"] <= CENTROID_BAR and out["flux_rms"] <= FLUX_BAR
         met &= good
