@@ -80,10 +80,13 @@ class FitResult:
 def _describe(f: FittedExposure) -> list[str]:
     t, main = f.trace, f.free[0]
     sigma = np.median(t.sigma_mm[t.ridge == 0])
+    assert t.pose is not None
+    marks = float(np.sqrt(np.nanmean(t.pose.residuals[t.pose.used] ** 2)))
     known = conics.invariants(main)
     lines = [
         f"{f.exposure.name}: {np.sum(t.ridge == 0)} profiles, each ±{1e3 * sigma:.1f} µm; "
         f"curve known to ±{1e3 * main.curve_rms:.1f} µm",
+        f"  marks: the pose leaves {marks:.2g} px rms of their corners",
         f"  free conic: {known['kind'].value}, eccentricity {_interval(known['eccentricity'])}",
     ]
     if f.cone is not None:

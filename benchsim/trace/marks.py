@@ -138,7 +138,9 @@ def find_marks(photograph: Photograph, marks: Marks | None, camera: Camera) -> M
             f"{photograph.name}: none of the board's marks found{other}; check that it shows the board, in focus, "
             f"not mirrored and not overexposed, and that screen.marks lists its marks"
         )
-    measured = _measure(photograph, camera, np.array(known), np.array([found[i] for i in known]))
+    coarse = np.array([found[i] for i in known])
+    _check_lens(photograph.name, camera, coarse)
+    measured = _measure(photograph, camera, np.array(known), coarse)
     good = np.array([reason == "" for reason in measured.reasons])
     dropped += [(i, reason) for i, reason in zip(known, measured.reasons, strict=True) if reason]
     if good.sum() < FEWEST_MARKS:
@@ -163,6 +165,19 @@ def find_marks(photograph: Photograph, marks: Marks | None, camera: Camera) -> M
         unknown=unknown,
         dropped=tuple(dropped),
         gamma=measured.gamma,
+    )
+
+
+def _check_lens(name: str, camera: Camera, corners: Array) -> None:
+    """Raise BenchsimError where the stated distortion folds the picture over at a mark, or nearly so."""
+    ideal = undistort(camera, corners)
+    if np.isfinite(ideal).all():
+        stretch = np.linalg.det(distortion_jacobian(camera, ideal))
+        if ((stretch > 0.1) & (stretch < 10)).all():
+            return
+    raise BenchsimError(
+        f"{name}: the lens of camera {camera.name} cannot be undone at the marks; mend its distortion, focal_px or "
+        "principal_point_px"
     )
 
 
