@@ -100,6 +100,10 @@ SPOILT = {
     "trace absent": (lambda f: save(f, counts(f, DARK)), [IMAGE, "no trace", "laser"]),
     "trace off the screen": (lambda f: line_of_light(f, (100, 100), (150, 700)), [IMAGE, "no trace", "off the screen"]),
     "trace of a few pixels": (lambda f: line_of_light(f, (500, 375), (503, 380)), [IMAGE, "profiles", "needed"]),
+    "lens that folds the picture": (
+        lambda f: edit(f, "distortion = [-0.08", "distortion = [-80.0"),
+        [IMAGE, "lens of camera A", "distortion"],
+    ),
     "marks missing": (lambda f: (f / "marks.csv").unlink(), ["marks.csv", "not there"]),
     "two marks": (
         lambda f: edit_marks(f, lambda i, *r: (i, *r) if i < 2 else None),
