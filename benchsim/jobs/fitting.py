@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,16 +20,12 @@ from benchsim.bench.place import place
 from benchsim.bench.settings import NAMES, from_vector, prior_sigma, screen_seats
 from benchsim.bench.writing import write_text
 from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.progress import Progress, silent
 from benchsim.report import pictures
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 IMAGE_SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
-
-
-def _silent(what: str, done: float) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -137,7 +132,7 @@ def _in_pixels(value: Any) -> Any:
 
 
 def fit(
-    source: Path | str, output: Path | str | None = None, *, pixels: bool = False, progress: Progress = _silent
+    source: Path | str, output: Path | str | None = None, *, pixels: bool = False, progress: Progress = silent
 ) -> FitResult | PixelFit:
     """Extract the traces of a recording and fit conics; or, with ``pixels``, the ridge of one picture.
 
@@ -201,7 +196,7 @@ def _fit_pixels(path: Path, folder: Path) -> PixelFit:
     return result
 
 
-def fit_recording(recording: Recording, *, progress: Progress = _silent) -> FitResult:
+def fit_recording(recording: Recording, *, progress: Progress = silent) -> FitResult:
     """Traces and conics of every exposure; an exposure without a trace is lost and said, none left is an error."""
     fitted, lost = [], []
     seats = screen_seats(recording.exposures)

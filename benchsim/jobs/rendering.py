@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording
 from benchsim.jobs.output import default_folder, output_folder
-
-Progress = Callable[[str, float], None]
-
-
-def _silent(what: str, done: float) -> None:
-    pass
+from benchsim.jobs.progress import Progress, silent
 
 
 @dataclass(frozen=True)
@@ -53,7 +48,7 @@ def render(
     noise: bool = True,
     setting_errors: bool = True,
     variant: str | None = None,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> RenderResult:
     """Render a bench file as a recording folder.
 
@@ -111,7 +106,7 @@ def render_into(
     noise: bool = True,
     setting_errors: bool = True,
     variant: str | None = None,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> tuple[Recording, tuple[str, ...]]:
     """Render into an existing folder; returns the recording as it was written, and what there is to say about it."""
     from benchsim.render import backend

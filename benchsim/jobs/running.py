@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,9 @@ from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording
 from benchsim.jobs.fitting import FitResult, fit_recording, write_fit
 from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.rendering import render_into
 from benchsim.jobs.validating import ValidationResult, validate_fit, write_validation
-
-Progress = Callable[[str, float], None]
-
-
-def _silent(what: str, done: float) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -51,7 +45,7 @@ def run(
     output: Path | str | None = None,
     *,
     variant: str | None = None,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> RunResult:
     """Render a bench (or take a recording's photographs), fit, validate and draw.
 

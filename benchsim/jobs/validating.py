@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,13 +19,8 @@ from benchsim.bench.writing import write_text
 from benchsim.instruments.bench.validation import LEVEL, ExposureValidation, validate_trace
 from benchsim.jobs.fitting import FitResult, draw_overlay, fit_recording
 from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.progress import Progress, silent
 from benchsim.report import pictures
-
-Progress = Callable[[str, float], None]
-
-
-def _silent(what: str, done: float) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -80,7 +74,7 @@ class ValidationResult:
 
 
 def validate(
-    recording: Path | str, output: Path | str | None = None, *, progress: Progress = _silent
+    recording: Path | str, output: Path | str | None = None, *, progress: Progress = silent
 ) -> ValidationResult:
     """Compare every trace of a recording with the vector model.
 
@@ -113,7 +107,7 @@ def validate(
     return result
 
 
-def validate_fit(fitted: FitResult, *, progress: Progress = _silent) -> ValidationResult:
+def validate_fit(fitted: FitResult, *, progress: Progress = silent) -> ValidationResult:
     """Validate the traces of a fit."""
     seats = screen_seats(fitted.recording.exposures)
     out = []

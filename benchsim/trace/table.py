@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import csv
-import os
-import tempfile
+import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.writing import write_text
 from benchsim.trace.pose import Pose
 
 Array = NDArray[np.float64]
@@ -208,20 +208,14 @@ def write_table(path: str | Path, traces: Iterable[Trace]) -> None:
     """
     path = Path(path)
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-        try:
-            with os.fdopen(handle, "w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(HEADER)
-                for trace in traces:
-                    columns = [getattr(trace, c) for c in HEADER[2:]]
-                    for i in range(len(trace)):
-                        writer.writerow([trace.exposure, int(trace.ridge[i]), *(f"{c[i]:.9g}" for c in columns)])
-            os.chmod(name, 0o644)
-            os.replace(name, path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(HEADER)
+        for trace in traces:
+            columns = [getattr(trace, c) for c in HEADER[2:]]
+            for i in range(len(trace)):
+                writer.writerow([trace.exposure, int(trace.ridge[i]), *(f"{c[i]:.9g}" for c in columns)])
+        write_text(path, text.getvalue())
     except OSError as error:
         raise BenchsimError(
             f"{path}: cannot be written ({error.strerror}); choose a folder that exists and is writable"
