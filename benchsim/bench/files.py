@@ -9,14 +9,17 @@ from __future__ import annotations
 import difflib
 import math
 import tomllib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from benchsim.bench import schema
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.fields import FORMS, Field, field
 from benchsim.bench.marks import read_marks
 from benchsim.bench.model import (
     Camera,
@@ -216,6 +219,7 @@ def _convert(f: schema.RecordingFile, file: Path) -> Recording:
             _triple(u.intrinsics_sigma),
         ),
         effects=f.effects,
+        fields={name: _field(name, table, file) for name, table in f.fields.items()},
         expander=_expander(f.expander, file) if f.expander else None,
         render=RenderOptions(**f.render.model_dump()),
         exposures=tuple(
@@ -263,6 +267,34 @@ def _camera(name: str, c: schema.CameraTable) -> Camera:
     )
 
 
+def _field(name: str, table: Mapping[str, Any], file: Path) -> Field:
+    key = f"{file.name}: fields.{name}"
+    if name not in FORMS:
+        raise BenchsimError(f"{key}: no such field; known are {', '.join(FORMS)}")
+    form = FORMS[name]
+    wanted = [k for k, _ in form.coordinates + form.components]
+    for k in (*wanted, *table):
+        if k not in table or k not in wanted:
+            raise BenchsimError(f"{key}.{k}: the table needs exactly {', '.join(wanted)}; mend it")
+    knots = [np.array(table[k], float) * factor for k, factor in form.coordinates]
+    for (k, _), x in zip(form.coordinates, knots, strict=True):
+        if x.ndim != 1 or len(x) < 2 or not (np.diff(x) > 0).all():
+            raise BenchsimError(f"{key}.{k}: give at least two growing numbers")
+    shape = tuple(len(x) for x in knots)
+    values = []
+    for k, factor in form.components:
+        try:
+            value = np.array(table[k], float) * factor
+        except ValueError:
+            value = np.zeros(0)
+        if value.shape != shape:
+            raise BenchsimError(
+                f"{key}.{k}: needs {' × '.join(map(str, shape))} numbers, as many as the knots; mend it"
+            )
+        values.append(value)
+    return field(knots, values)
+
+
 def _expander(e: schema.ExpanderTable, file: Path) -> Expander:
     surfaces = []
     for i, row in enumerate(e.surfaces, 1):
@@ -290,7 +322,7 @@ def _defaults(f: schema.RecordingFile) -> list[str]:
             value = getattr(table, key)
             if isinstance(value, BaseModel):
                 walk(f"{prefix}{key}.", value)
-            elif key not in table.model_fields_set and value is not None and key != "effects":
+            elif key not in table.model_fields_set and value is not None and key not in ("effects", "fields"):
                 out.append(f"{prefix}{key} = {value!r}".replace("'", '"'))
 
     for name in ("laser", "mirror", "screen", "physics", "uncertainty"):

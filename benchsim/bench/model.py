@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchsim.bench.fields import Field as FreeField
+
 Vector3 = tuple[float, float, float]
 
 
@@ -184,7 +186,10 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording, or a bench (the same without images). ``path`` is the TOML file it was read from."""
+    """A recording, or a bench (the same without images). ``path`` is the TOML file it was read from.
+
+    ``effects`` are as the file has them, in the catalogue's units; ``fields`` (see `fields.FORMS`) in mm, rad, s, px.
+    """
 
     laser: Laser
     mirror: Mirror
@@ -194,6 +199,7 @@ class Recording:
     physics: Physics = Physics()
     uncertainty: Uncertainty = Uncertainty()
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    fields: Mapping[str, FreeField] = field(default_factory=dict)
     expander: Expander | None = None
     render: RenderOptions = RenderOptions()
     title: str = ""

@@ -123,6 +123,7 @@ class RecordingFile(Table):
     physics: PhysicsTable = Field(default_factory=PhysicsTable)
     uncertainty: UncertaintyTable = Field(default_factory=UncertaintyTable)
     effects: dict[str, dict[str, Number]] = Field(default_factory=dict)
+    fields: dict[str, dict[str, list[Number] | list[list[Number]]]] = Field(default_factory=dict)
     expander: ExpanderTable | None = None
     render: RenderTable = Field(default_factory=RenderTable)
     exposure: Annotated[list[ExposureTable], Field(min_length=1)]

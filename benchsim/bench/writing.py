@@ -11,6 +11,7 @@ from typing import Any, get_args
 import tomlkit
 
 from benchsim.bench import schema
+from benchsim.bench.fields import FORMS
 from benchsim.bench.marks import MARKS_HEADER
 from benchsim.bench.model import Recording
 
@@ -134,6 +135,19 @@ def _document(r: Recording, render: bool) -> tomlkit.TOMLDocument:
         for name, parameters in r.effects.items():
             put(name, dict(parameters), effects)
         doc["effects"] = effects
+    if r.fields:
+        fields = tomlkit.table(is_super_table=True)
+        for name, f in r.fields.items():
+            form = FORMS[name]
+            table: dict[str, Any] = {}
+            for (key, factor), knots in zip(form.coordinates, f.knots, strict=True):
+                table[key] = [x / factor for x in knots]
+            for (key, factor), values in zip(form.components, f.table(), strict=True):
+                table[key] = [
+                    _plain(x) if isinstance(x, float) else [_plain(v) for v in x] for x in (values / factor).tolist()
+                ]
+            put(name, table, fields)
+        doc["fields"] = fields
     if r.expander is not None:
         e = r.expander
         put(

@@ -1,0 +1,216 @@
+"""The linear algebra that screening, attachments, limits and held-out predictions share.
+
+At a point of the parameters the data are  d = f + N x + A a + noise, with x the nuisances in units of their prior
+sigma. In whitened space (noise of unit variance) and with the nuisances marginalised, x ~ N(0, S²), S the setting scale
+for scaled nuisances and 1 for the others, the data's covariance is M = 1 + N S² Nᵀ, and all that is needed of data and
+hypotheses are products through M⁻¹ (Woodbury):
+
+    ⟨a, b⟩ = aᵀ b − (aᵀ N) (S⁻² + Nᵀ N)⁻¹ (Nᵀ b),      ln |M| = ln |S⁻² + Nᵀ N| + ln |S²| .
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from benchsim.diagnosis.problem import Parameter, Problem, Values
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A problem linearised at a point, whitened by the blocks' covariances.
+
+    Attributes
+    ----------
+    residual : (n,)
+        Data less prediction at the point, plus the nuisances' and amplitudes' columns times their values there: the
+        residual that x = 0, a = 0 would leave if the problem were as linear there as at the point.
+    nuisance : (n, p)
+        Columns of the nuisances, in units of their prior sigma, in the problem's order.
+    scaled : (p,) bool
+    effect : (n, k)
+        Columns of amplitudes, per unit of value**power, in the order of ``names``.
+    names : tuple of str
+        Of the amplitudes.
+    block : (n,) int
+    logdet : float
+        ln of the determinant of the blocks' covariances.
+    """
+
+    residual: Array
+    nuisance: Array
+    scaled: NDArray[np.bool_]
+    effect: Array
+    names: tuple[str, ...]
+    block: NDArray[np.intp]
+    logdet: float
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """Products through M⁻¹ of the residual r and columns A: all that Gaussian hypotheses need.
+
+    Attributes
+    ----------
+    gram : (k, k)
+        Aᵀ M⁻¹ A.
+    projection : (k,)
+        Aᵀ M⁻¹ r.
+    chi2 : float
+        rᵀ M⁻¹ r.
+    logdet : float
+        ln |M|, and of the whitening.
+    n : int
+        Number of data.
+    """
+
+    gram: Array
+    projection: Array
+    chi2: float
+    logdet: float
+    n: int
+
+
+def whiten(problem: Problem, covariance: tuple[Array, ...], columns: Array) -> tuple[Array, float]:
+    """L⁻¹ columns, C = L Lᵀ per block, and ln |C|; ``columns`` is (n,) or (n, k)."""
+    out: Array = np.empty(columns.shape)
+    logdet = 0.0
+    for b, c in enumerate(covariance):
+        rows = problem.rows(b)
+        lower = np.linalg.cholesky(c)
+        out[rows] = solve_triangular(lower, columns[rows], lower=True)
+        logdet += 2 * float(np.log(np.diag(lower)).sum())
+    return out, logdet
+
+
+def marginal(linear: Linear, columns: Array, scale: float = 1.0, keep: NDArray[np.bool_] | None = None) -> Marginal:
+    """Marginalise the nuisances.
+
+    Parameters
+    ----------
+    linear : Linear
+    columns : (n, k) array
+        Whitened.
+    scale : float
+        S of the scaled nuisances.
+    keep : (n,) bool, optional
+        Data to use, whole blocks only (a block's whitening mixes its data); default all.
+    """
+    use = slice(None) if keep is None else keep
+    n_cols, both = linear.nuisance[use], np.column_stack([linear.residual[use], columns[use]])
+    s = np.where(linear.scaled, scale, 1.0)
+    inner = np.diag(s**-2.0) + n_cols.T @ n_cols
+    factor = cho_factor(inner, lower=True)
+    cross = n_cols.T @ both
+    product = both.T @ both - cross.T @ cho_solve(factor, cross)
+    logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum())
+    whitening = linear.logdet if keep is None else 0.0
+    return Marginal(product[1:, 1:], product[1:, 0], float(product[0, 0]), logdet + whitening, len(both))
+
+
+def nuisance_posterior(linear: Linear, residual: Array, scale: float = 1.0) -> tuple[Array, Array]:
+    """Mean and covariance of the nuisances, in units of their prior sigma, given a whitened residual."""
+    s = np.where(linear.scaled, scale, 1.0)
+    inner = np.diag(s**-2.0) + linear.nuisance.T @ linear.nuisance
+    covariance = np.linalg.inv(inner)
+    return covariance @ (linear.nuisance.T @ residual), covariance
+
+
+def fit_value(parameter: Parameter, value: float) -> float:
+    """The number the data respond to: value**power."""
+    return value**parameter.power
+
+
+def columns(
+    problem: Problem, at: Values, parameters: tuple[Parameter, ...], steps: Mapping[str, float] | None = None
+) -> Array:
+    """Derivatives of the prediction by value**power, central differences, (n, k).
+
+    Parameters
+    ----------
+    problem : Problem
+    at : mapping
+        The point.
+    parameters : tuple of Parameter
+        Each is differentiated on its own blocks only.
+    steps : mapping, optional
+        Step of value**power by name; default 5 % of sigma**power, which is far below the scale on which the
+        prediction bends and far above its rounding.
+    """
+    tasks: list[tuple[int, int, float, float]] = []
+    values: list[dict[str, float]] = []
+    blocks: list[int] = []
+    for k, p in enumerate(parameters):
+        middle = fit_value(p, at.get(p.name, 0.0))
+        step = (steps or {}).get(p.name, 0.05 * p.sigma**p.power)
+        # A quantity that exists only where it is ≥ 0 is differentiated to the right of 0.
+        ends = (middle - step, middle + step)
+        if (p.one_sided or p.power > 1) and ends[0] < 0:
+            ends = (0.0, 2 * step)
+        for b in range(len(problem.names)) if p.blocks is None else p.blocks:
+            for end, sign in zip(ends, (-1.0, 1.0), strict=True):
+                values.append({**at, p.name: end ** (1.0 / p.power) if p.power > 1 else end})
+                blocks.append(b)
+                tasks.append((k, b, sign, ends[1] - ends[0]))
+    out = np.zeros((len(problem.data), len(parameters)))
+    for (k, b, sign, width), predicted in zip(tasks, problem.spread(problem.predict, values, blocks), strict=True):
+        out[problem.rows(b), k] += sign * np.asarray(predicted) / width
+    return out
+
+
+def predict_all(problem: Problem, at: Values) -> Array:
+    """The prediction of all blocks, (n,)."""
+    many = range(len(problem.names))
+    return np.concatenate(list(problem.spread(problem.predict, [dict(at)] * len(problem.names), many)))
+
+
+def linearise(
+    problem: Problem,
+    at: Values,
+    amplitudes: tuple[Parameter, ...],
+    covariance: tuple[Array, ...] | None = None,
+    known: Array | None = None,
+) -> Linear:
+    """Linearise at a point.
+
+    Parameters
+    ----------
+    problem : Problem
+    at : mapping
+        Values of nuisances and amplitudes (and shapes) there.
+    amplitudes : tuple of Parameter
+        Whose columns are wanted besides the nuisances'.
+    covariance : tuple of array, optional
+        Of the blocks, where the noise was re-estimated; default the problem's.
+    known : (n, p + k) array, optional
+        Columns already computed (nuisances per sigma, then amplitudes), for instance at a point nearby; default they
+        are differentiated here.
+    """
+    nuisances = problem.nuisances
+    sigma = np.array([p.sigma for p in nuisances])
+    if known is None:
+        j = columns(problem, at, (*nuisances, *amplitudes))
+        j[:, : len(nuisances)] *= sigma
+    else:
+        j = known
+    here = np.array(
+        [at.get(p.name, 0.0) / p.sigma for p in nuisances] + [fit_value(p, at.get(p.name, 0.0)) for p in amplitudes]
+    )
+    residual = problem.data - predict_all(problem, at) + j @ here
+    white, logdet = whiten(problem, covariance or problem.covariance, np.column_stack([residual, j]))
+    p = len(nuisances)
+    return Linear(
+        white[:, 0],
+        white[:, 1 : 1 + p],
+        np.array([n.scaled for n in nuisances], bool),
+        white[:, 1 + p :],
+        tuple(a.name for a in amplitudes),
+        problem.block,
+        logdet,
+    )
