@@ -86,7 +86,7 @@ def whiten(problem: Problem, covariance: tuple[Array, ...], columns: Array) -> t
         lower = np.linalg.cholesky(c)
         out[rows] = solve_triangular(lower, columns[rows], lower=True)
         logdet += 2 * float(np.log(np.diag(lower)).sum())
-    return out, logdet
+    return out, float(logdet)
 
 
 def marginal(linear: Linear, columns: Array, scale: float = 1.0, keep: NDArray[np.bool_] | None = None) -> Marginal:
@@ -118,7 +118,7 @@ def nuisance_posterior(linear: Linear, residual: Array, scale: float = 1.0) -> t
     """Mean and covariance of the nuisances, in units of their prior sigma, given a whitened residual."""
     s = np.where(linear.scaled, scale, 1.0)
     inner = np.diag(s**-2.0) + linear.nuisance.T @ linear.nuisance
-    covariance = np.linalg.inv(inner)
+    covariance: Array = np.linalg.inv(inner).astype(float)
     return covariance @ (linear.nuisance.T @ residual), covariance
 
 

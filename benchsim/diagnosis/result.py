@@ -1,0 +1,256 @@
+"""The finished diagnosis, and its form in ``diagnosis.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+VERDICTS = ("nothing-missing", "named", "class", "located", "unexplained")
+"""What is left open: nothing at all was found; all is named; only alternatives; an element; not even that."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """A parameter with its 1 sigma, both in ``unit``."""
+
+    value: float
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect that is there. ``confidence`` is "named" or "probable"."""
+
+    name: str
+    element: str
+    probability: float
+    confidence: str
+    parameters: Mapping[str, Size]
+    says: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class SplitBy:
+    """What would tell the members of a class apart. ``kind``: "recording" or "observable"."""
+
+    kind: str
+    what: str
+    separation_sigma: float
+
+
+@dataclass(frozen=True)
+class Class:
+    """Alternatives that the data cannot tell apart: each member a set of effects, the most probable first."""
+
+    members: tuple[tuple[str, ...], ...]
+    probability: float
+    split_by: SplitBy | None
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a trace where the misfit lies, [mm] of arc length; ``z`` its corrected significance."""
+
+    exposure: str
+    from_mm: float
+    to_mm: float
+    z: float
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where in the path of the light the misfit lies. ``margin``: Δ ln Z over the best other element."""
+
+    element: str
+    coordinate: str
+    claimed: bool
+    margin: float
+    along_trace: tuple[Stretch, ...]
+
+
+@dataclass(frozen=True)
+class Law:
+    """A function of one coordinate that stands in for a cause without a name.
+
+    ``attachment`` names the attachment whose function it is; ``knots`` (K, d) and ``coefficients`` (K,) are that
+    function, in the attachment's units; ``terms`` its sparse monomials, empty where the Gaussian process itself stands.
+    """
+
+    attachment: str
+    coordinate: str
+    terms: Mapping[str, float]
+    held_out_gain: float
+    gain_sigma: float
+    knots: Array
+    component: NDArray[np.intp]
+    coefficients: Array
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Excess χ² of left-out settings before and after, summed over folds."""
+
+    folds: int
+    data: int
+    excess_chi2_before: float
+    excess_chi2_after: float
+    sigma: float
+
+    @property
+    def fraction_removed(self) -> float | None:
+        """1 − after/before; None where there was no excess to remove."""
+        if self.excess_chi2_before <= 0:
+            return None
+        return 1 - self.excess_chi2_after / self.excess_chi2_before
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Size of an effect's parameter that would have been seen at five sigma. ``reachable``: it is below the cap."""
+
+    parameter: str
+    five_sigma: float
+    unit: str
+    reachable: bool
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of every datum for the pictures, in the data's units.
+
+    ``before``: at the most probable nuisances without anything added; ``after``: with what was found;
+    ``held_out_before`` and ``held_out_after``: predicted from the other settings (nan where there are fewer than
+    three); ``sigma``: of each datum, noise as re-estimated.
+    """
+
+    before: Array
+    after: Array
+    held_out_before: Array
+    held_out_after: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything the diagnosis concludes; see the contract of ``diagnosis.json``.
+
+    ``probability`` is P(present) of every effect of the catalogue; ``values`` the most probable nuisances and
+    parameters of what was found; ``rms`` before and after by kind of datum, in the data's units.
+    """
+
+    verdict: str
+    effects: tuple[Found, ...]
+    classes: tuple[Class, ...]
+    location: Location | None
+    law: Law | None
+    rms: Mapping[str, tuple[float, float]]
+    held_out: HeldOut | None
+    pulls: Mapping[str, float]
+    limits: Mapping[str, Limit]
+    next: tuple[SplitBy, ...]
+    sigma_scale: float
+    correlation: float
+    setting_scale: float
+    probability: Mapping[str, float]
+    values: Mapping[str, float]
+    residuals: Residuals
+    notes: tuple[str, ...] = field(default=())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``diagnosis.json``."""
+
+        def plain(x: float) -> float | None:
+            return float(x) if np.isfinite(x) else None
+
+        def split(s: SplitBy) -> dict[str, Any]:
+            return {"kind": s.kind, "what": s.what, "separation_sigma": plain(s.separation_sigma)}
+
+        held = self.held_out
+        before, after = self.rms.get("c", (float("nan"), float("nan")))
+        return {
+            "format": "benchsim-diagnosis/1",
+            "verdict": self.verdict,
+            "effects": [
+                {
+                    "name": f.name,
+                    "element": f.element,
+                    "probability": f.probability,
+                    "confidence": f.confidence,
+                    "parameters": {
+                        k: {"value": plain(s.value), "sigma": plain(s.sigma), "unit": s.unit}
+                        for k, s in f.parameters.items()
+                    },
+                    "says": f.says,
+                    "remedy": f.remedy,
+                }
+                for f in self.effects
+            ],
+            "classes": [
+                {
+                    "members": [list(m) for m in c.members],
+                    "probability": c.probability,
+                    "split_by": None if c.split_by is None else split(c.split_by),
+                }
+                for c in self.classes
+            ],
+            "location": None
+            if self.location is None
+            else {
+                "element": self.location.element,
+                "coordinate": self.location.coordinate,
+                "claimed": self.location.claimed,
+                "margin": plain(self.location.margin),
+                "along_trace": [
+                    {"exposure": s.exposure, "from_mm": plain(s.from_mm), "to_mm": plain(s.to_mm), "z": plain(s.z)}
+                    for s in self.location.along_trace
+                ],
+            },
+            "law": None
+            if self.law is None
+            else {
+                "coordinate": self.law.coordinate,
+                "terms": {k: plain(v) for k, v in self.law.terms.items()},
+                "held_out_gain": plain(self.law.held_out_gain),
+                "held_out_gain_sigma": plain(self.law.gain_sigma),
+            },
+            "fit": {
+                "rms_mm": {"before": plain(before), "after": plain(after)},
+                "rms": {k: {"before": plain(b), "after": plain(a)} for k, (b, a) in self.rms.items()},
+                "held_out": None
+                if held is None
+                else {
+                    "folds": held.folds,
+                    "data": held.data,
+                    "excess_chi2_before": plain(held.excess_chi2_before),
+                    "excess_chi2_after": plain(held.excess_chi2_after),
+                    "sigma": plain(held.sigma),
+                    "fraction_removed": held.fraction_removed,
+                },
+            },
+            "pulls": {k: plain(v) for k, v in self.pulls.items()},
+            "limits": {
+                k: {
+                    "parameter": v.parameter,
+                    "five_sigma": plain(v.five_sigma),
+                    "unit": v.unit,
+                    "reachable": v.reachable,
+                }
+                for k, v in self.limits.items()
+            },
+            "next": [split(s) for s in self.next],
+            "noise": {
+                "sigma_scale": plain(self.sigma_scale),
+                "correlation_mm": plain(self.correlation),
+                "setting_scale": plain(self.setting_scale),
+            },
+            "probability": dict(self.probability),
+            "notes": list(self.notes),
+        }
