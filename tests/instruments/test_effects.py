@@ -1,0 +1,99 @@
+"""The catalogue is complete, refuses what it does not hold, and offers what a recording could show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.files import read
+from benchsim.bench.model import Physics, Recording
+from benchsim.instruments.bench import effects
+
+NAMES = """pivot-offset facets canting axis-tilt azimuth-offset second-surface facet-tilts axis-wobble facet-curvature
+beam-direction beam-offset wavefront-curvature astigmatism coma finite-beam diffraction window window-tilt air-gradient
+plume screen-tilt screen-rotation screen-distance screen-bow grid-scale grid-aspect grid-shear radial-distortion
+tangential-distortion rolling-shutter saturation drift vibration""".split()
+
+
+@pytest.fixture(scope="module")
+def bench() -> Recording:
+    return read(Path(__file__).parents[2] / "scenes/campaign12.toml")
+
+
+def test_catalogue_holds_every_effect_once_with_sentences():
+    assert sorted(e.name for e in effects.CATALOGUE) == sorted(NAMES)
+    for e in effects.CATALOGUE:
+        assert e.element in effects.ELEMENTS
+        assert e.says.endswith(".") and e.remedy.endswith(".") and e.source
+        assert e.terms and all(t.cap > 0 for t in e.terms)
+        amplitudes = [not t.grid for t in e.terms]
+        assert amplitudes == sorted(amplitudes, reverse=True), "amplitudes stand before shapes"
+
+
+@pytest.mark.parametrize(
+    ("given", "parts"),
+    [
+        ({"canitng": {"pyr": 1.0}}, ("effects.canitng", "nearest name is canting")),
+        ({"canting": {"pry": 1.0}}, ("effects.canting.pry", "nearest name is pyr")),
+        ({"facet-tilts": {"tilt_12": 1.0}}, ("effects.facet-tilts.tilt_12", "from 0 to 11")),
+        ({"second-surface": {"glass": -1.0}}, ("effects.second-surface.glass", "0 or more")),
+        ({"facets": {"facets": 1.5}}, ("effects.facets.facets", "0 to 1")),
+        ({"plume": {"plume": 0.1, "plume_width": 0.0}}, ("effects.plume.plume_width", "more than 0")),
+    ],
+)
+def test_unknown_or_impossible_effects_are_refused_in_one_sentence(bench, given, parts):
+    with pytest.raises(BenchsimError) as error:
+        effects.check(replace(bench, effects=given))
+    text = str(error.value)
+    assert text.startswith("campaign12.toml: ") and all(part in text for part in parts) and "\n" not in text
+
+
+def test_every_parameter_of_the_catalogue_is_accepted(bench):
+    given = {e.name: {t.name: (t.grid[0] if t.grid else 0.5) for t in e.terms} for e in effects.CATALOGUE}
+    given["facet-tilts"] = {"tilt_0": 0.5, "tilt_11": -0.5}
+    effects.check(replace(bench, effects=given))
+
+
+def _names(recording: Recording, against: str = "bench") -> dict[str, effects.Effect]:
+    return {e.name: e for e in effects.candidates(recording, against)}
+
+
+def test_switches_compete_only_where_physics_has_them_false(bench):
+    on = replace(bench, physics=Physics(True, True, True))
+    assert not {"facets", "finite-beam", "diffraction"} & _names(on).keys()
+    assert {"facets", "finite-beam", "diffraction"} <= _names(on, "vector").keys()
+    assert "diffraction" in _names(replace(bench, physics=Physics(True, True, False)))
+    with pytest.raises(BenchsimError, match="bench or vector"):
+        effects.candidates(bench, "paper")
+
+
+def test_tilts_and_wobble_follow_the_gating(bench):
+    ungated = replace(bench, exposures=tuple(replace(e, facet=None) for e in bench.exposures))
+    tilts, wobble = _names(ungated)["facet-tilts"], _names(ungated)["axis-wobble"]
+    assert [(p.name, p.power) for p in tilts.parameters] == [("tilt_rms", 2)] and not tilts.random_field
+    assert [(p.name, p.power) for p in wobble.parameters] == [("wob_c", 2)]
+    some = (replace(ungated.exposures[0], facet=3), replace(ungated.exposures[1], facet=7), *ungated.exposures[2:])
+    gated = _names(replace(ungated, exposures=some))
+    assert [p.name for p in gated["facet-tilts"].parameters] == ["tilt_3", "tilt_7"]
+    assert gated["facet-tilts"].random_field
+    assert [(p.name, p.power) for p in gated["axis-wobble"].parameters] == [("wob_c", 1), ("wob_s", 1)]
+
+
+def test_what_cannot_be_observed_is_no_candidate(bench):
+    at_once = replace(bench, exposures=tuple(replace(e, time=0.0) for e in bench.exposures))
+    assert "drift" not in _names(at_once)
+    unknown = replace(bench, cameras={k: replace(c, gamma="unknown") for k, c in bench.cameras.items()})
+    assert not {"vibration", "saturation"} & _names(unknown).keys()
+    assert all(p.name != "freq" for p in _names(bench)["vibration"].parameters)
+
+
+def test_prior_is_half_the_cap_and_shapes_cover_the_light(bench):
+    found = _names(bench)
+    assert found["canting"].parameters[0].sigma == 5.0
+    y, z = (next(p.grid for p in found["plume"].parameters if p.name == n) for n in ("plume_y", "plume_z"))
+    for e in bench.exposures:
+        assert min(y) <= e.mirror_position[1] / 2 <= max(y)
+        assert min(z) <= e.mirror_position[2] / 2 <= max(z)
