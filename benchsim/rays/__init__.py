@@ -5,7 +5,7 @@ gives the profiles of the time-averaged trace, `diffraction` and `profile` what 
 trace.
 """
 
-from benchsim.rays.camera import board_points, pixel_rays, project, project_board
+from benchsim.rays.camera import board_points, pixel_rays, project, project_board, see
 from benchsim.rays.curve import irradiance, irradiance_profiles, predict, trace_curve
 
 __all__ = [
@@ -16,5 +16,6 @@ __all__ = [
     "predict",
     "project",
     "project_board",
+    "see",
     "trace_curve",
 ]

@@ -41,7 +41,7 @@ class Term:
         The light responds to value**power.
     grid : tuple of float
         Not empty for a shape (a place, a width, a period): the values at which the effect is screened; `candidates`
-        may replace them by those that suit the recording. The middle one is used where the file leaves it out.
+        replaces them by those that suit the recording.
     observable : bool
         False: accepted in files, but nothing that is measured depends on it, so that it is never fitted.
     """
