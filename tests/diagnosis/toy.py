@@ -1,9 +1,10 @@
 """A toy instrument: straight lines drawn at several angles t, in thirty lines; proof that diagnosis knows no bench.
 
-Each block is one line y(x), x in [-1, 1], drawn at its own angle t; block and group are one (a setting) unless
-``per_group`` says otherwise. What was set by hand: offset, slope and shift along x of every setting. Effects are the shapes
-below times an amplitude; ``lens-a`` and ``lens-b`` are all but the same, ``creep`` lies within the settings' errors and
-shows only in how they go with t, ``blur`` widens a second observable by its square. ``SECRET`` shapes are in no catalogue.
+Each block is one line y(x), x in [-1, 1], drawn at its own angle t; a block is a setting of its own unless
+``per_group`` says otherwise. What was set by hand: offset, slope and shift along x of every setting. Effects are the
+shapes below times an amplitude; ``lens-a`` and ``lens-b`` are all but the same, ``creep`` lies within the settings'
+errors and shows only in how they go with t, ``blur`` widens a second observable by its square. ``SECRET`` shapes are in
+no catalogue.
 """
 
 from collections.abc import Mapping
@@ -67,7 +68,9 @@ def toy(
     drawn = {p.name: rng.normal() * p.sigma * (setting_scale if p.scaled else 1) for p in nuisances}
     model = partial(predict, angles=angles, groups=groups)
     catalogue = [
-        Effect(n, e, (Parameter(n.replace("-", "_"), "mm", 0.5),), f"{n} is there.", f"Mend {n}.")
+        Effect(
+            n, e, (Parameter(n.replace("-", "_"), "mm", 2.0 if n == "creep" else 0.5),), f"{n} is there.", f"Mend {n}."
+        )
         for n, (e, _) in SHAPES.items()
     ]
     catalogue.append(
