@@ -99,6 +99,9 @@ def render(
         bool,
         typer.Option("--setting-errors/--no-setting-errors", help="Draw each setting's errors from [uncertainty]."),
     ] = True,
+    conceal: Annotated[
+        bool, typer.Option("--conceal", help="Render [effects] and [fields], but leave them out of the recording.")
+    ] = False,
     json: Json = False,
     variant: Variant = None,
 ) -> None:
@@ -107,7 +110,7 @@ def render(
 
     _do(
         jobs.render, json, bench=bench, output=output, seed=seed, effects=effect or [], noise=noise,
-        setting_errors=setting_errors, variant=variant,
+        setting_errors=setting_errors, conceal=conceal, variant=variant,
     )  # fmt: skip
 
 

@@ -47,6 +47,7 @@ def render(
     effects: Sequence[str] = (),
     noise: bool = True,
     setting_errors: bool = True,
+    conceal: bool = False,
     variant: str | None = None,
     progress: Progress = silent,
 ) -> RenderResult:
@@ -66,6 +67,8 @@ def render(
         False: no shot and read noise and no speckle.
     setting_errors : bool
         False: every setting exactly as stated, in place of a draw from ``[uncertainty]`` once per setting.
+    conceal : bool
+        True: effects and fields are rendered, but not written into the recording.
     variant : str, optional
         Mitsuba's back end.
     progress : callable
@@ -84,7 +87,14 @@ def render(
     recording = read(source, images=False)
     recording = replace(recording, effects=override(recording.effects, effects))
     folder = Path(output) if output is not None else default_folder(source, "render")
-    options = {"seed": seed, "effects": list(effects), "noise": noise, "setting_errors": setting_errors}
+    options = {
+        "seed": seed,
+        # The stamp lies in the folder: what is concealed must not stand there either.
+        "effects": [] if conceal else list(effects),
+        "noise": noise,
+        "setting_errors": setting_errors,
+        "conceal": conceal,
+    }
     with output_folder(folder, "render", sources(recording), options, recording.defaults_used) as staging:
         rendered, notes = render_into(
             recording,
@@ -92,6 +102,7 @@ def render(
             seed=seed,
             noise=noise,
             setting_errors=setting_errors,
+            conceal=conceal,
             variant=variant,
             progress=progress,
         )
@@ -105,6 +116,7 @@ def render_into(
     seed: int | None = None,
     noise: bool = True,
     setting_errors: bool = True,
+    conceal: bool = False,
     variant: str | None = None,
     progress: Progress = silent,
 ) -> tuple[Recording, tuple[str, ...]]:
@@ -115,7 +127,13 @@ def render_into(
     progress("testing Mitsuba's back end", 0.0)
     backend.use(variant)
     truth = render_recording(
-        recording, folder, seed=seed, noise=noise, setting_errors=setting_errors, progress=progress
+        recording,
+        folder,
+        seed=seed,
+        noise=noise,
+        setting_errors=setting_errors,
+        conceal=conceal,
+        progress=progress,
     )
     return read(folder, images=True), truth.notes
 

@@ -7,6 +7,7 @@ each in its own way.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,15 +19,19 @@ from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.fields import Field
 from benchsim.bench.model import Camera, Screen
 from benchsim.bench.place import Placement, camera_pose
 from benchsim.render import backend
-from benchsim.render.board import BoardTexture, reflectance
+from benchsim.render.board import BoardTexture, printed, reflectance
 from benchsim.render.irradiance import ScreenMap
+from benchsim.render.lens import reach, sources, true_camera
+from benchsim.render.surface import Surface, surface, turned
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 Pose = tuple[Array, Array]
+Effects = Mapping[str, Mapping[str, float]]
 
 WALL = 0.01
 """Reflectance of the dark room behind the board; the laser does not reach it."""
@@ -35,6 +40,13 @@ ROOM_SLOPE = (0.03, 0.05)
 """Relative change of the room light from the board's centre to its +y and +z edges: lamps hang above, to one side."""
 
 _NEWTON_STEPS = 6
+
+_MEET_STEPS = 5
+"""Steps to a ray's point on a board that is not plane: each leaves the slope of the free height field of the miss, some
+0.05 at worst."""
+
+_HEIGHT_PITCH = 1.0
+"""Grid on which the free height field is looked up [mm]; between its own knots it is linear anyway."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +107,58 @@ def _bitmap(values: Image) -> Any:
     )
 
 
-def _window(camera: Camera, in_camera: Array) -> tuple[slice, slice]:
+def _heights(shape: Surface, half: tuple[float, float]) -> Any:
+    """The free height field as a texture over the board's texture, or None."""
+    if shape.field is None:
+        return None
+    y, z = (h * ((np.arange(k) + 0.5) / k * 2 - 1) for h, k in ((h, int(2 * h / _HEIGHT_PITCH)) for h in half))
+    only = Surface(field=shape.field)
+    return _bitmap(only.height(y[None, :], z[:, None]).astype(np.float32))
+
+
+def _meet(shape: Surface, field: Any, half: tuple[float, float], origin: Any, direction: Any, active: Any) -> Any:
+    """Where rays meet a board that is not plane, by Newton's method on the height of the ray over the surface.
+
+    Components are (y, z, x) of the board, as Mitsuba's rectangle has them.
+    """
+    hit = dr.zeros(mi.SurfaceInteraction3f, dr.width(direction))
+    # Values that may change from picture to picture are no constants of the compiled kernel.
+    (sy, sz), (by, bz) = shape.slope, shape.bow
+    shape = Surface(_opaque(shape.distance), (_opaque(sy), _opaque(sz)), (_opaque(by), _opaque(bz)))
+    wide, high = (_opaque(h) for h in half)
+
+    def texture_at(y: Any, z: Any) -> Any:
+        return mi.Point2f(0.5 * (y / wide + 1), 0.5 * (z / high + 1))
+
+    t = (shape.distance - origin.z) / direction.z
+    y, z = origin.x + t * direction.x, origin.y + t * direction.y
+    for _ in range(_MEET_STEPS):
+        h, slope_y, slope_z = shape.smooth(y, z)
+        if field is not None:
+            hit.uv = texture_at(y, z)
+            h = h + field.eval_1(hit, active)
+        over = origin.z + t * direction.z - h
+        t = t - over / (direction.z - slope_y * direction.x - slope_z * direction.y)
+        y, z = origin.x + t * direction.x, origin.y + t * direction.y
+    there = active & (t > 0) & (direction.z < 0) & (dr.abs(y) <= wide) & (dr.abs(z) <= high)
+    hit.uv = texture_at(y, z)
+    return hit, there
+
+
+def _facing(shape: Surface, texture: BoardTexture) -> Image | np.float32:
+    """Area of the plane per area of the surface: a map is light by area of the plane, radiance by area of the paper."""
+    if shape.flat:
+        return np.float32(1)
+    nz, ny = texture.values.shape
+    y, z = texture.y0 + texture.pitch * np.arange(ny), texture.z0 + texture.pitch * np.arange(nz)
+    _, slope_y, slope_z = shape.smooth(y[None, :], z[:, None])
+    if shape.field is not None:
+        h = Surface(field=shape.field).height(y[None, :], z[:, None])
+        slope_y, slope_z = slope_y + np.gradient(h, y, axis=1), slope_z + np.gradient(h, z, axis=0)
+    return np.asarray(1 / np.sqrt(1 + slope_y**2 + slope_z**2), np.float32)
+
+
+def _window(camera: Camera, in_camera: Array, margin: int = 0) -> tuple[slice, slice]:
     """Rows and columns that may see the board, whose outline is (n, 3) in the camera's frame."""
     columns, rows = camera.resolution
     if (in_camera[:, 2] <= 0).any():
@@ -104,6 +167,7 @@ def _window(camera: Camera, in_camera: Array) -> tuple[slice, slice]:
     matrix = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1.0]])
     seen = cv2.projectPoints(in_camera, zero, zero, matrix, np.array(camera.distortion))[0].reshape(-1, 2)
     low, high = np.floor(seen.min(axis=0)).astype(int) - 2, np.ceil(seen.max(axis=0)).astype(int) + 3
+    low, high = low - margin, high + margin
     low, high = np.clip(low, 0, camera.resolution), np.clip(high, 0, camera.resolution)
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
 
@@ -160,6 +224,8 @@ def photograph(
     pose: Pose | None = None,
     samples: int | None = None,
     narrow: bool = False,
+    effects: Effects | None = None,
+    fields: Mapping[str, Field] | None = None,
 ) -> Picture:
     """Photograph the board.
 
@@ -167,7 +233,7 @@ def photograph(
     ----------
     screen : Screen
     camera : Camera
-        The true one; its pose is used where ``pose`` is None.
+        The true one but for the effects; its pose is used where ``pose`` is None.
     light : ScreenMap or None
         Irradiance of the laser on the board; None where it is off.
     placement : Placement
@@ -180,6 +246,9 @@ def photograph(
         error of random points, and add no noise.
     narrow : bool
         The light has no width of its own (``physics.beam = false``); its map is shown as it is.
+    effects, fields : mapping, optional
+        Of the recording: those of the board's shape and turn (`surface`), of its print (`board`), of lens and read-out
+        (`lens`) are shown, the others belong to the light or the sensor.
 
     Returns
     -------
@@ -192,6 +261,9 @@ def photograph(
         If the camera does not see the front of the board.
     """
     backend.use()
+    effects, fields = effects or {}, fields or {}
+    placement, camera = turned(placement, effects), true_camera(camera, effects)
+    shape = surface(effects, fields)
     rotation, translation = pose or camera_pose(camera)
     to_camera = rotation @ placement.screen_rotation
     offset = rotation @ placement.screen_origin + translation
@@ -199,11 +271,15 @@ def photograph(
     if eye[0] <= 0:
         raise BenchsimError(f"camera {camera.name} stands behind the screen; move its position_mm to x > 0")
 
-    texture = reflectance(screen, 0.25 if light is None else light.pitch, outside=WALL)
+    pitch = 0.25 if light is None else light.pitch
+    texture = reflectance(screen, pitch, outside=WALL, lay=printed(effects, fields))
     room_z, room_y = _room(texture)
     white = texture.values.astype(np.float32)
     room = _bitmap(white * room_z * room_y)
-    laser = None if light is None else _bitmap(white * _on_texture(texture, light, _sharpen(light, narrow=narrow)))
+    laser = None
+    if light is not None:
+        lit = _on_texture(texture, light, _sharpen(light, narrow=narrow))
+        laser = _bitmap(white * lit * _facing(shape, texture))
     nz, ny = texture.values.shape
     half = (ny * texture.pitch / 2, nz * texture.pitch / 2)
 
@@ -211,8 +287,8 @@ def photograph(
     edge = np.linspace(-1, 1, 65)
     one = np.ones(65)
     around = np.concatenate([np.column_stack(s) for s in ((edge, one), (edge, -one), (one, edge), (-one, edge))]) * half
-    outline = np.column_stack([np.zeros(len(around)), around]) @ to_camera.T + offset
-    window = _window(camera, outline)
+    outline = np.column_stack([shape.height(*around.T), around]) @ to_camera.T + offset
+    window = _window(camera, outline, reach(effects, fields))
     height, width = window[0].stop - window[0].start, window[1].stop - window[1].start
     wall = np.full((rows, columns), WALL, np.float32)
     dark = np.zeros((rows, columns), np.float32)
@@ -226,6 +302,7 @@ def photograph(
     board = mi.load_dict(
         {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale([float(half[0]), float(half[1]), 1.0])}
     )
+    heights = _heights(shape, half)
     mapped = to_camera.T[[1, 2, 0]]
     m = [[_opaque(e) for e in row] for row in mapped]
     origin = mi.Point3f(*(_opaque(e) for e in eye[[1, 2, 0]]))
@@ -234,7 +311,13 @@ def photograph(
     w = dr.opaque(mi.UInt32, width)
     u = mi.Float(lane % w) + _opaque(window[1].start)
     v = mi.Float(lane // w) + _opaque(window[0].start)
+    source = sources(camera, effects, fields, window)
+    if source is not None:
+        u, v = mi.Float(source.u.ravel().astype(np.float32)), mi.Float(source.v.ravel().astype(np.float32))
     x0, y0, (xu, xv, yu, yv), valid = _ideal(camera, u, v)
+    if source is not None:
+        uu, uv, vu, vv = (mi.Float(s.ravel().astype(np.float32)) for s in source.slope)
+        xu, xv, yu, yv = xu * uu + xv * vu, xu * uv + xv * vv, yu * uu + yv * vu, yu * uv + yv * vv
     n = dr.opaque(mi.UInt32, samples)
     step = 1 / mi.Float(n)
 
@@ -243,9 +326,12 @@ def photograph(
         du, dv = (mi.Float(k % n) + 0.5) * step - 0.5, (mi.Float(k // n) + 0.5) * step - 0.5
         x, y = x0 + xu * du + xv * dv, y0 + yu * du + yv * dv
         direction = mi.Vector3f(*(row[0] * x + row[1] * y + row[2] for row in m))
-        # Asked directly, the shape answers three times as fast as through a scene of one shape.
-        hit = board.ray_intersect(mi.Ray3f(origin, dr.normalize(direction)), active=valid)
-        there = valid & hit.is_valid()
+        if shape.flat:
+            # Asked directly, the shape answers three times as fast as through a scene of one shape.
+            hit = board.ray_intersect(mi.Ray3f(origin, dr.normalize(direction)), active=valid)
+            there = valid & hit.is_valid()
+        else:
+            hit, there = _meet(shape, heights, half, origin, direction, valid)
         if laser is not None:
             seen_laser = seen_laser + dr.select(there, laser.eval_1(hit, there), 0.0)
         seen_room = seen_room + dr.select(there, room.eval_1(hit, there), WALL)

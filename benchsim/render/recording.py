@@ -130,9 +130,17 @@ def draw_pose(camera: Camera, rng: np.random.Generator) -> Pose:
     return rotation, -rotation @ eye
 
 
-def _same_light(exposure: Exposure, placement: Placement) -> tuple[object, ...]:
-    """Key under which two exposures share their light: mirror, laser and board stand alike."""
-    return (exposure.facet, *(np.asarray(v).tobytes() for v in vars(placement).values()))
+TIMED = ("drift",)
+"""Effects by which light differs from one exposure to the next though everything stands alike."""
+
+
+def _same_light(recording: Recording, exposure: Exposure, placement: Placement) -> tuple[object, ...]:
+    """Key under which two exposures share their light: all stands alike, and the time is the same if that counts."""
+    timed = any(name in recording.effects for name in TIMED) or "time" in recording.fields
+    # The stage's field goes by the dials as stated, not by where the laser points.
+    dials = (exposure.laser_azimuth, exposure.laser_elevation) if "stage" in recording.fields else ()
+    stands = (np.asarray(v).tobytes() for v in vars(placement).values())
+    return (exposure.facet, exposure.time if timed else None, dials, *stands)
 
 
 def render_recording(
@@ -144,6 +152,7 @@ def render_recording(
     setting_errors: bool = True,
     images: Sequence[str] | None = None,
     jpeg_quality: int = 90,
+    conceal: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> RenderedTruth:
     """Photograph every exposure of a bench and write the folder of a recording.
@@ -166,6 +175,8 @@ def render_recording(
         Names of the images, one per exposure; default ``001.png`` … in file order. The suffix chooses the format.
     jpeg_quality : int
         Of images named .jpg.
+    conceal : bool
+        True: effects and fields are rendered and left out of the file that is written, as nature would.
     progress : callable, optional
         Called as progress(what, fraction done).
 
@@ -215,7 +226,7 @@ def render_recording(
     true = replace(recording, laser=laser, cameras=cameras)
 
     folder = _made(Path(out_folder))
-    keys = [_same_light(e, p) for e, p in zip(exposures, placements, strict=True)]
+    keys = [_same_light(recording, e, p) for e, p in zip(exposures, placements, strict=True)]
     maps: dict[tuple[object, ...], ScreenMap] = {}
     for i, e in enumerate(exposures):
         tell(f"rendering {names[i]}", i / len(exposures))
@@ -227,8 +238,23 @@ def render_recording(
         camera = cameras[e.camera]
         narrow = not recording.physics.beam
         try:
-            picture = photograph(recording.screen, camera, light, placement=placements[i], pose=poses[i], narrow=narrow)
-            signal = signals(picture, options, recording.screen.reflectance)
+            picture = photograph(
+                recording.screen,
+                camera,
+                light,
+                placement=placements[i],
+                pose=poses[i],
+                narrow=narrow,
+                effects=recording.effects,
+                fields=recording.fields,
+            )
+            signal = signals(
+                picture,
+                options,
+                recording.screen.reflectance,
+                effects=recording.effects,
+                fields=recording.fields,
+            )
             rng = np.random.default_rng(noise_seeds[i]) if noise and options.noise else None
             write_image(folder / names[i], expose(signal, camera, options, rng), jpeg_quality=jpeg_quality)
             dark = darks[i]
@@ -243,6 +269,8 @@ def render_recording(
         expander=None,
         path=folder / "recording.toml",
     )
+    if conceal:
+        written = replace(written, effects={}, fields={})
     write(written, written.path)
     tell("rendered", 1.0)
     return RenderedTruth(

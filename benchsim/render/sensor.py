@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,9 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import gammaincinv, ndtr
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.fields import Field
 from benchsim.bench.model import Camera, RenderOptions
+from benchsim.render.charge import carry, displaced, spill
 from benchsim.render.picture import Picture
 
 Image = NDArray[np.float32]
@@ -44,13 +47,23 @@ class Signals:
     Attributes
     ----------
     laser, room : (rows, columns) float32
+    carry : px
+        How far the charge of the brightest laser light spills toward +v, see `charge`.
     """
 
     laser: Image
     room: Image
+    carry: float = 0.0
 
 
-def signals(picture: Picture, options: RenderOptions, reflectance: float) -> Signals:
+def signals(
+    picture: Picture,
+    options: RenderOptions,
+    reflectance: float,
+    *,
+    effects: Mapping[str, Mapping[str, float]] | None = None,
+    fields: Mapping[str, Field] | None = None,
+) -> Signals:
     """Blur a picture and choose the exposure.
 
     Parameters
@@ -60,6 +73,8 @@ def signals(picture: Picture, options: RenderOptions, reflectance: float) -> Sig
         ``blur_px`` (rms of the lens's Gaussian), ``peak_fraction``, ``room_fraction``.
     reflectance : float
         Of the white board, whose room light is the reference.
+    effects, fields : mapping, optional
+        Of the recording: those of `charge` are shown.
 
     Raises
     ------
@@ -71,7 +86,14 @@ def signals(picture: Picture, options: RenderOptions, reflectance: float) -> Sig
     if not peak > 0:
         raise BenchsimError("the camera sees none of the laser's light; check its position_mm, look_at_mm and focal_px")
     room_level = options.peak_fraction * options.room_fraction / reflectance
-    return Signals(laser * np.float32(options.peak_fraction / peak), room * np.float32(room_level))
+    laser = displaced(laser, fields or {}) * np.float32(options.peak_fraction / peak)
+    return Signals(laser, room * np.float32(room_level), carry(laser, effects or {}))
+
+
+def arrived(light: Signals, options: RenderOptions, rng: np.random.Generator | None) -> Image:
+    """Laser charge as it is read out: speckle, then what spills."""
+    lit = light.laser if rng is None else speckle(light.laser, options.speckle_px, rng)
+    return spill(lit, light.carry, float(light.laser.max()))
 
 
 def _blurred(light: Image, blur: float) -> Image:
@@ -179,8 +201,7 @@ def expose(
     """
     signal = light.room
     if laser:
-        lit = light.laser if rng is None else speckle(light.laser, options.speckle_px, rng)
-        signal = signal + lit
+        signal = signal + arrived(light, options, rng)
     return develop(signal, camera, options, rng)
 
 
@@ -200,7 +221,7 @@ def expose_colour(
     (rows, columns, 3) ndarray of uint8 or uint16
         Red, green, blue.
     """
-    lit = light.laser if rng is None else speckle(light.laser, options.speckle_px, rng)
+    lit = arrived(light, options, rng)
     channels = [develop(light.room + np.float32(share) * lit, camera, options, rng) for share in response]
     return np.stack(channels, axis=-1)
 

@@ -1,0 +1,318 @@
+"""Effects of board, print, lens, read-out and sensor in rendered pictures, against closed forms in float64 by OpenCV.
+
+Rationale: `render` draws every effect as what it is; where points of the board must then be seen follows from geometry
+alone. Set-up: blobs of light at known (y, z), or the printed squares, photographed with the effect at two magnitudes.
+Expectation: centroids of blobs within 0.003 px, edges of squares within 0.01 px in the mean.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.fields import field
+from benchsim.bench.files import read
+from benchsim.bench.model import Camera, Exposure, Laser, Marks, Mirror, Recording, RenderOptions, Screen
+from benchsim.bench.place import Placement, SettingErrors, camera_pose, place
+from benchsim.render import recording as module
+from benchsim.render.board import printed, reflectance
+from benchsim.render.charge import carry, displaced, level, spill
+from benchsim.render.irradiance import ScreenMap
+from benchsim.render.picture import photograph
+
+PITCH = 0.25
+CAMERA = Camera("A", (560, 420), 900.0, (283.2, 206.7), (-0.12, 0.05, 0.0007, -0.0005, 0.01))
+EXPOSURE = Exposure("A", "s", np.radians(101), np.radians(50), (1500.0, -160.0, -1430.0), 12.0, np.radians(8.0))
+SCREEN = Screen((400.0, 300.0), 0.8)
+SPOTS = [(y, z) for y in (-160.0, -61.3, 40.7, 155.0) for z in (-110.0, -33.3, 90.9)]
+SIGMA = 3.0
+SIDE = 48.0
+MARKED = replace(
+    SCREEN,
+    marks=Marks(tuple(range(6)), tuple((y, z) for y in (-140.0, 0.0, 150.0) for z in (-90.0, 80.0)), (SIDE,) * 6),
+)
+
+HEIGHT = (np.array([-200.0, -60.0, 50.0, 220.0]), np.array([-160.0, 10.0, 150.0]))
+HEIGHT_MM = np.array([[1.0, -2.0, 0.5], [2.0, 3.0, -1.0], [-2.0, 1.5, 2.5], [0.0, -1.0, 1.0]])
+PIXEL = (np.array([0.0, 200.0, 420.0, 559.0]), np.array([0.0, 210.0, 419.0]))
+PIXEL_PX = np.array(
+    [
+        [[0.3, -0.6, 0.9], [0.8, 0.2, -0.5], [-0.4, 1.0, 0.3], [0.1, 0.0, -0.7]],
+        [[-0.2, 0.5, 0.6], [0.4, -0.9, 0.1], [0.7, 0.3, -0.3], [0.0, 0.2, 0.5]],
+    ]
+)
+
+
+def bilinear(knots, values, a, b):
+    """Bilinear interpolation, written out."""
+    i = np.clip(np.searchsorted(knots[0], a) - 1, 0, len(knots[0]) - 2)
+    j = np.clip(np.searchsorted(knots[1], b) - 1, 0, len(knots[1]) - 2)
+    p = (a - knots[0][i]) / (knots[0][i + 1] - knots[0][i])
+    q = (b - knots[1][j]) / (knots[1][j + 1] - knots[1][j])
+    low = values[i, j] * (1 - q) + values[i, j + 1] * q
+    return low * (1 - p) + (values[i + 1, j] * (1 - q) + values[i + 1, j + 1] * q) * p
+
+
+def standing() -> Placement:
+    errors = SettingErrors(screen_position=np.array([1.0, 2.0, -3.0]), screen_angle=np.array([0.01, -0.02, 0.015]))
+    return place(Mirror(), EXPOSURE, errors)
+
+
+def seen(y, z, effects=None, fields=(), *, on_paper=False, scale=1.0):
+    """Pixels of points of the board, written out from the table of effects; free fields by their names, times scale."""
+    e = {k: v for table in (effects or {}).values() for k, v in table.items()}
+    e = {
+        **dict.fromkeys("sx st_y st_z bow_y bow_z srot gs ga gsh k1 k2 p1 p2 rs_s rs_c".split(), 0.0),
+        "rs_period": 1400.0,
+    } | e
+    if on_paper:
+        gs, ga, gsh = (1e-3 * e[k] for k in ("gs", "ga", "gsh"))
+        dy, dz = (
+            (bilinear(HEIGHT, scale * HEIGHT_MM, y, z), -0.5 * bilinear(HEIGHT, scale * HEIGHT_MM, y, z))
+            if "shift" in fields
+            else (0, 0)
+        )
+        y, z = (1 + gs + ga) * y + gsh * z + dy, (1 + gs - ga) * z + gsh * y + dz
+    x = e["sx"] + 1e-3 * (e["st_z"] * y + e["st_y"] * z) + 0.5e-3 * (e["bow_y"] * y**2 + e["bow_z"] * z**2)
+    if "height" in fields:
+        x = x + bilinear(HEIGHT, scale * HEIGHT_MM, y, z)
+    a, placement = 1e-3 * e["srot"], standing()
+    board = np.stack([x, y * np.cos(a) - z * np.sin(a), y * np.sin(a) + z * np.cos(a)], axis=-1)
+    world = placement.screen_origin + board @ placement.screen_rotation.T
+    rotation, translation = camera_pose(CAMERA)
+    in_camera = world.reshape(-1, 3) @ rotation.T + translation
+    (cx, cy), f, zero = CAMERA.principal_point, CAMERA.focal, np.zeros(3)
+    lens = np.array(CAMERA.distortion) + np.array([e["k1"], e["k2"], e["p1"], e["p2"], 0.0])
+    matrix = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1.0]])
+    uv = cv2.projectPoints(in_camera, zero, zero, matrix, lens)[0].reshape(*np.shape(y), 2)
+    if "pixel" in fields:
+        uv = uv + np.stack([bilinear(PIXEL, scale * c, uv[..., 0], uv[..., 1]) for c in PIXEL_PX], axis=-1)
+    phase = 2 * np.pi * (uv[..., 1] - cy) / e["rs_period"]
+    return uv + np.stack([e["rs_s"] * np.sin(phase) + e["rs_c"] * np.cos(phase), 0 * phase], axis=-1)
+
+
+def blobs():
+    n = [round(s / PITCH) for s in SCREEN.size]
+    y, z = (-(k - 1) / 2 * PITCH + PITCH * np.arange(k) for k in n)
+    # The map's tent adds pitch²/6.
+    var = SIGMA**2 + PITCH**2 / 6
+    values = sum(np.outer(np.exp(-((z - b) ** 2) / (2 * var)), np.exp(-((y - a) ** 2) / (2 * var))) for a, b in SPOTS)
+    return ScreenMap(values, y[0], z[0], PITCH, 0.0)
+
+
+def centroid(image, near, reach=14):
+    c, r = np.round(near).astype(int)
+    cut = image[r - reach : r + reach + 1, c - reach : c + reach + 1].astype(float)
+    v, u = np.mgrid[r - reach : r + reach + 1, c - reach : c + reach + 1]
+    return np.array([(cut * u).sum(), (cut * v).sum()]) / cut.sum()
+
+
+def expected_centroid(spot, **keywords):
+    """Centroid of the pixels of a Gaussian blob's points, weighted with the area that they fill."""
+    q, h = np.linspace(-5, 5, 81) * SIGMA, 1e-2
+    y, z = np.meshgrid(spot[0] + q, spot[1] + q)
+    uy, uz = (seen(y + a, z + b, **keywords) - seen(y - a, z - b, **keywords) for a, b in ((h, 0), (0, h)))
+    area = np.abs(uy[..., 0] * uz[..., 1] - uy[..., 1] * uz[..., 0])
+    weight = area * np.exp(-((y - spot[0]) ** 2 + (z - spot[1]) ** 2) / (2 * SIGMA**2))
+    return (weight[..., None] * seen(y, z, **keywords)).sum(axis=(0, 1)) / weight.sum()
+
+
+OF_LIGHT = {
+    "screen-distance": {"sx": 10.0},
+    "screen-tilt": {"st_y": 12.0, "st_z": -9.0},
+    "screen-bow": {"bow_y": 0.15, "bow_z": -0.1},
+    "screen-rotation": {"srot": 11.0},
+    "radial-distortion": {"k1": 0.09, "k2": 0.07},
+    "tangential-distortion": {"p1": 0.008, "p2": -0.006},
+    "rolling-shutter": {"rs_s": 2.5, "rs_c": -1.5, "rs_period": 500.0},
+}
+
+
+@pytest.fixture(scope="module")
+def light():
+    return blobs()
+
+
+@pytest.mark.parametrize("scale", [0.25, 1.0])
+@pytest.mark.parametrize("name", OF_LIGHT)
+def test_light_is_seen_where_the_effect_puts_it(light, name, scale):
+    effects = {name: {k: v if k == "rs_period" else scale * v for k, v in OF_LIGHT[name].items()}}
+    picture = photograph(SCREEN, CAMERA, light, placement=standing(), effects=effects)
+    plain = max(np.abs(seen(*map(np.array, s), effects) - seen(*map(np.array, s))).max() for s in SPOTS)
+    assert plain > 0.05, "the effect shows"
+    for spot in SPOTS:
+        want = expected_centroid(spot, effects=effects)
+        np.testing.assert_allclose(centroid(picture.laser, want), want, atol=3e-3)
+
+
+@pytest.mark.parametrize("scale", [0.3, 1.0])
+@pytest.mark.parametrize("name", ["height", "pixel"])
+def test_light_is_seen_where_the_field_puts_it(light, name, scale):
+    knots, values = (HEIGHT, [HEIGHT_MM]) if name == "height" else (PIXEL, PIXEL_PX)
+    fields = {name: field(knots, scale * np.array(values))}
+    picture = photograph(SCREEN, CAMERA, light, placement=standing(), fields=fields)
+    for spot in SPOTS:
+        want = expected_centroid(spot, fields=(name,), scale=scale)
+        np.testing.assert_allclose(centroid(picture.laser, want), want, atol=3e-3)
+
+
+def test_effects_act_together(light):
+    """Nothing is applied twice or lost where lens, board, turn and read-out meet."""
+    picture = photograph(SCREEN, CAMERA, light, placement=standing(), effects=OF_LIGHT)
+    for spot in SPOTS:
+        want = expected_centroid(spot, effects=OF_LIGHT)
+        np.testing.assert_allclose(centroid(picture.laser, want), want, atol=5e-3)
+
+
+def test_a_tilted_board_shows_the_same_light_on_more_paper(light):
+    """Light per area of the paper, not of the plane: radiance falls by the cosine of a slope (exaggerated here)."""
+    plain = photograph(SCREEN, CAMERA, light, placement=standing())
+    steep = photograph(SCREEN, CAMERA, light, placement=standing(), effects={"screen-tilt": {"st_z": 300.0}})
+    ratio = steep.laser.max() / plain.laser.max()
+    assert ratio == pytest.approx(1 / np.hypot(1, 0.3), rel=0.02)
+
+
+def misses(picture, **keywords):
+    """Left and top edges of the printed squares, line of pixels by line, against the closed form."""
+    along, out = np.linspace(-SIDE / 2, SIDE / 2, 201), []
+    for y, z in MARKED.marks.centres:
+        left = seen(np.full(201, y - SIDE / 2), z + along, on_paper=True, **keywords)
+        top = seen(y + along, np.full(201, z + SIDE / 2), on_paper=True, **keywords)
+        for axis, edge, image in ((0, left, picture.room), (1, top, picture.room.T)):
+            across, down = edge[:, axis], edge[:, 1 - axis]
+            order = np.argsort(down)
+            for line in range(int(down.min()) + 5, int(down.max()) - 5):
+                want = np.interp(line, down[order], across[order])
+                first = round(want) - 3
+                cut = image[line, first : first + 6].astype(float)
+                share = (cut - cut[-2:].mean()) / (cut[:2].mean() - cut[-2:].mean())
+                out.append(first - 0.5 + share.sum() - want)
+    return np.array(out)
+
+
+ON_PAPER = {"grid-scale": {"gs": 8.0}, "grid-aspect": {"ga": -9.0}, "grid-shear": {"gsh": 7.0}}
+
+
+@pytest.mark.parametrize("scale", [0.2, 1.0])
+@pytest.mark.parametrize("name", [*ON_PAPER, "shift", "screen-bow", "rolling-shutter", "pixel"])
+def test_print_is_seen_where_the_effect_puts_it(name, scale):
+    """Biased edges would show in the mean (0.01 px); a single line's is uncertain by some 0.03 px (midpoint rule)."""
+    table = {**ON_PAPER, **OF_LIGHT}.get(name)
+    effects = {name: {k: v if k == "rs_period" else scale * v for k, v in table.items()}} if table else {}
+    fields = {
+        "shift": {"shift": field(HEIGHT, scale * np.stack([HEIGHT_MM, -0.5 * HEIGHT_MM]))},
+        "pixel": {"pixel": field(PIXEL, scale * PIXEL_PX)},
+    }.get(name, {})
+    picture = photograph(MARKED, CAMERA, None, placement=standing(), effects=effects, fields=fields)
+    miss = misses(picture, effects=effects, fields=tuple(fields), scale=scale)
+    assert len(miss) > 200
+    assert abs(miss.mean()) < 0.01 and np.abs(miss).max() < 0.1, (miss.mean(), np.abs(miss).max())
+
+
+def test_grid_errors_leave_light_and_outline_alone(light):
+    effects = {**ON_PAPER}
+    plain, warped = (photograph(SCREEN, CAMERA, light, placement=standing(), effects=e) for e in ({}, effects))
+    np.testing.assert_array_equal(plain.laser, warped.laser)
+    np.testing.assert_array_equal(plain.room, warped.room)
+
+
+def test_print_out_of_place_by_nothing_is_print_in_place():
+    """The general way to lay print reproduces the exact one."""
+    lay = printed({}, {"shift": field(HEIGHT, np.zeros((2, 4, 3)))})
+    np.testing.assert_allclose(reflectance(MARKED, lay=lay).values, reflectance(MARKED).values, atol=1e-9)
+
+
+def ridge(width=1.6, slope=0.35, rows=120, columns=400):
+    """A slanted line whose brightness is a parabola along it, 1 at the middle; crest rows per column."""
+    v, u = np.mgrid[0:rows, 0:columns].astype(float)
+    crest = 20 + slope * 0.5 * u + 1e-4 * u**2
+    bright = 1 - ((u - columns / 2) / (0.75 * columns)) ** 2
+    return (bright * np.exp(-((v - crest) ** 2) / (2 * width**2))).astype(np.float32), bright[0]
+
+
+@pytest.mark.parametrize("sat", [0.4, 2.5])
+@pytest.mark.parametrize("width", [1.2, 2.4])
+def test_charge_spills_by_the_square_of_the_brightness(sat, width):
+    """Columns' centroids move by sat b² (5 % of sat: the crest falls between pixels); no charge is lost."""
+    image, bright = ridge(width)
+    effects = {"saturation": {"sat": sat}}
+    out = spill(image, carry(image, effects), float(image.max()))
+    assert out.sum(dtype=float) == pytest.approx(image.sum(dtype=float), rel=1e-5)
+    np.testing.assert_allclose(out.sum(axis=0), image.sum(axis=0), rtol=1e-5)
+    v = np.arange(len(image))[:, None]
+    moved = (v * out).sum(axis=0) / out.sum(axis=0) - (v * image).sum(axis=0) / image.sum(axis=0)
+    np.testing.assert_allclose(moved, sat * bright**2, atol=0.05 * sat)
+    down = spill(image, -carry(image, effects), float(image.max()))
+    back = (v * down).sum(axis=0) / down.sum(axis=0) - (v * image).sum(axis=0) / image.sum(axis=0)
+    np.testing.assert_allclose(back, -sat * bright**2, atol=0.05 * sat)
+
+
+@pytest.mark.parametrize("scale", [0.3, 1.5])
+def test_the_trace_moves_with_its_brightness_as_the_field_says(scale):
+    image, bright = ridge()
+    values = scale * np.array([[0.0, 0.0, 0.0], [0.0, 0.4, -0.6]])
+    out = displaced(image, {"brightness": field([np.array([0.0, 0.7, 1.0])], values)})
+    v = np.arange(len(image))[:, None]
+    moved = (v * out).sum(axis=0) / out.sum(axis=0) - (v * image).sum(axis=0) / image.sum(axis=0)
+    want = np.interp(bright, [0, 0.7, 1.0], values[1])
+    inner = slice(20, -20)
+    np.testing.assert_allclose(level(image)[image.argmax(axis=0), np.arange(400)][inner], bright[inner], atol=0.02)
+    np.testing.assert_allclose(moved[inner], want[inner], atol=0.05 * scale)
+
+
+def test_bad_effects_are_told():
+    with pytest.raises(BenchsimError, match="rs_period: must be above 0"):
+        photograph(
+            SCREEN, CAMERA, None, placement=standing(), effects={"rolling-shutter": {"rs_s": 1.0, "rs_period": 0.0}}
+        )
+    folded = {
+        "pixel": field([np.array([280.0, 281.0]), np.array([0.0, 1.0])], [[[5.0, 5.0], [-5.0, -5.0]], np.zeros((2, 2))])
+    }
+    with pytest.raises(BenchsimError, match=r"fields\.pixel: folds"):
+        photograph(SCREEN, CAMERA, None, placement=standing(), fields=folded)
+
+
+def bench(*exposures, **keywords):
+    camera = Camera("A", (200, 150), 500.0, (99.5, 74.5))
+    marks = Marks((0,), ((-60.0, 60.0),), (32.0,))
+    screen = Screen((200.0, 200.0), 0.8, marks)
+    options = RenderOptions(relative_error=0.2, dark=False)
+    return Recording(Laser(), Mirror(), screen, {"A": camera}, exposures, render=options, **keywords)
+
+
+def stands(time=0.0):
+    return Exposure("A", "s", np.radians(101), np.radians(50), (1500.0, -160.0, -1430.0), time=time)
+
+
+def test_what_is_concealed_is_rendered_and_not_written(tmp_path):
+    """Bytes of the pictures are the same, the file is silent."""
+    effects, fields = {"screen-distance": {"sx": 15.0}}, {"pixel": field(PIXEL, PIXEL_PX)}
+    b = bench(stands(), effects=effects, fields=fields)
+    light = ScreenMap(np.eye(800), -99.875, -99.875, PITCH, 0.0)
+    pictures = {}
+    for name, conceal, recording in (("told", False, b), ("hidden", True, b), ("none", False, bench(stands()))):
+        folder = tmp_path / name
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "irradiance", lambda *a, **k: light)
+            truth = module.render_recording(recording, folder, noise=False, setting_errors=False, conceal=conceal)
+        back = read(folder, images=True)
+        assert bool(back.effects) == bool(back.fields) == (name == "told"), name
+        assert truth.recording.effects == back.effects
+        pictures[name] = cv2.imread(str(folder / "001.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(pictures["told"], pictures["hidden"])
+    assert (pictures["none"] != pictures["hidden"]).mean() > 0.1
+
+
+@pytest.mark.parametrize(("keywords", "times"), [({}, 1), ({"effects": {"drift": {"dry": 0.3}}}, 2)])
+def test_light_that_drifts_is_traced_at_every_time(tmp_path, monkeypatch, keywords, times):
+    calls = []
+
+    def counted(recording, exposure, **_):
+        calls.append(exposure.time)
+        return ScreenMap(np.eye(800), -99.875, -99.875, PITCH, 0.0)
+
+    monkeypatch.setattr(module, "irradiance", counted)
+    module.render_recording(bench(stands(), stands(3600.0), **keywords), tmp_path, setting_errors=False)
+    assert len(calls) == times
