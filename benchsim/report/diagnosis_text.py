@@ -1,0 +1,329 @@
+"""The diagnosis in plain sentences, for a person at the bench; nothing is computed here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import exp, floor, isfinite, log, log10
+from textwrap import fill
+
+from benchsim.diagnosis.problem import Effect
+from benchsim.diagnosis.result import Diagnosis, Found, Limit, Size, SplitBy
+
+WIDTH = 100
+
+KINDS: Mapping[str, tuple[str, str]] = {
+    "c": ("centre line", "mm"),
+    "w": ("width", "mm"),
+    "f": ("flux along the trace", ""),
+    "m": ("marks", "px"),
+}
+"""Observables in words, and the unit of their residuals; a kind that is not here is called by its own name."""
+
+SIMULATION = {
+    "bench": "the bench as the file states it",
+    "vector": "the paper's vector model (no facets, a single ray, no diffraction)",
+}
+
+
+@dataclass(frozen=True)
+class About:
+    """What the text says of the recording beside what was found.
+
+    Attributes
+    ----------
+    title : str
+    exposures, settings : int
+        Used.
+    against : {"bench", "vector"}
+    catalogue : sequence of Effect
+        The candidates.
+    lost : sequence of str
+        One sentence for each exposure that was dropped.
+    remarks : sequence of str
+        One sentence for each thing about the recording that limits what can be told.
+    defaults : sequence of str
+        ``key = value`` of every default taken.
+    amended : str
+        One sentence on the file that holds what was found; empty: none.
+    """
+
+    title: str
+    exposures: int
+    settings: int
+    against: str
+    catalogue: Sequence[Effect]
+    lost: Sequence[str] = ()
+    remarks: Sequence[str] = ()
+    defaults: Sequence[str] = ()
+    amended: str = ""
+
+
+def summary(d: Diagnosis, about: About) -> str:
+    """What is missing, where, what it is, how large, and what to do; or how large it would have had to be.
+
+    Parameters
+    ----------
+    d : Diagnosis
+    about : About
+
+    Returns
+    -------
+    str
+        Paragraphs of at most 100 columns.
+    """
+    count = f"{_number(about.exposures, 'exposure')} of {_number(about.settings, 'setting')}"
+    parts = [f"{about.title}: {count}, against {SIMULATION.get(about.against, about.against)}."]
+    parts.append(_headline(d))
+    parts += [_found(f) for f in d.effects]
+    parts += list(_classes(d, about))
+    parts += list(_where(d))
+    parts += list(_better(d))
+    parts += list(_next(d))
+    parts += list(_limits(d, about))
+    parts += list(_settings(d))
+    parts += [_wrapped(f"Dropped: {sentence}") for sentence in about.lost]
+    parts += [_wrapped(sentence) for sentence in (*about.remarks, *d.notes)]
+    if about.defaults:
+        parts.append(_wrapped("Defaults taken for what the file leaves out: " + "; ".join(about.defaults) + "."))
+    if about.amended:
+        parts.append(_wrapped(about.amended))
+    return "\n\n".join(parts)
+
+
+def rounded(size: Size) -> str:
+    """``value ± sigma unit`` with two digits of sigma: ``0.0310 ± 0.0009 1/m``."""
+    if not isfinite(size.sigma) or size.sigma <= 0:
+        return f"{size.value:.3g} {_unit(size.unit)}".rstrip()
+    digits = max(0, 1 - floor(log10(size.sigma)))
+    return f"{size.value:.{digits}f} ± {size.sigma:.{digits}f} {_unit(size.unit)}".rstrip()
+
+
+def percent(p: float) -> str:
+    """A probability that is never said to be 0 or 1."""
+    if p > 0.9999:
+        return "above 99.99 %"
+    return "below 0.01 %" if p < 1e-4 else f"{100 * p:.4g} %"
+
+
+def odds(margin: float) -> str:
+    """A difference of ln Z as odds."""
+    if margin > log(1e6):
+        return "odds of more than a million to 1"
+    return f"odds of {exp(max(margin, 0.0)):.3g} to 1"
+
+
+def _unit(unit: str) -> str:
+    """A pure number has no unit; ``1e-3`` is a factor."""
+    return {"1": "", "1e-3": "×10⁻³"}.get(unit, unit)
+
+
+def _number(n: int, noun: str) -> str:
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
+def _wrapped(text: str, indent: str = "") -> str:
+    return fill(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False)
+
+
+def _headline(d: Diagnosis) -> str:
+    names = _listed([f.name for f in d.effects])
+    match d.verdict:
+        case "nothing-missing":
+            text = "NOTHING IS MISSING that these recordings could show. What would have been seen is listed below."
+        case "named":
+            text = f"SOMETHING IS MISSING from the simulation, and it has a name: {names}."
+        case "class":
+            text = "SOMETHING IS MISSING from the simulation, and these recordings leave a choice of what it is"
+            text += f"; {names} is there in any case." if names else "."
+        case "located":
+            assert d.location is not None
+            text = f"SOMETHING IS MISSING from the simulation. It sits in the {d.location.element}, and no effect of "
+            text += "the catalogue explains it" + (f" besides {names}." if names else ".")
+        case _:
+            text = "SOMETHING IS MISSING from the simulation, and neither its name nor its place can be told"
+            text += f"; {names} explains a part of it." if names else "."
+    return _wrapped(text)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _found(f: Found) -> str:
+    sure = "named" if f.confidence == "named" else "probable, not certain"
+    lines = [f"{f.name} ({f.element}; {sure}, probability {percent(f.probability)})"]
+    lines.append(_wrapped(f.says, "  "))
+    sizes = [f"{name} = {rounded(size)}" for name, size in f.parameters.items()]
+    lines.append(_wrapped("Size: " + ", ".join(sizes) + " (1 sigma).", "  "))
+    if f.remedy:
+        lines.append(_wrapped(f"On the bench: {f.remedy}", "  "))
+    return "\n".join(lines)
+
+
+def _classes(d: Diagnosis, about: About) -> Iterator[str]:
+    known = {e.name: e for e in about.catalogue}
+    for c in d.classes:
+        lines = [f"One of these {len(c.members)}, together {percent(c.probability)}; the most probable first:"]
+        for member in c.members:
+            if not member:
+                lines.append("  - nothing")
+                continue
+            says = " ".join(known[name].says for name in member if name in known)
+            text = f"{' with '.join(member)}: {says}" if says else " with ".join(member)
+            lines.append(fill(text, WIDTH, initial_indent="  - ", subsequent_indent="    "))
+        if c.split_by is not None:
+            s = c.split_by
+            lines.append(_wrapped(f"To tell them apart: {_ended(s.what)} It separates them by {_sigma(s)}.", "  "))
+        else:
+            lines.append(_wrapped("Nothing that was considered would tell them apart.", "  "))
+        yield "\n".join(lines)
+
+
+def _where(d: Diagnosis) -> Iterator[str]:
+    where = d.location
+    if where is None:
+        return
+    lines = []
+    if where.claimed:
+        lines.append(
+            _wrapped(
+                f"Where: in the {where.element}, as a function of {where.coordinate} "
+                f"({odds(where.margin)} over every other element)."
+            )
+        )
+    else:
+        lines.append(
+            _wrapped(
+                f"Where: most likely in the {where.element}, as a function of {where.coordinate}; "
+                f"{odds(where.margin)} over the next element do not settle it."
+            )
+        )
+    for s in sorted(where.along_trace, key=lambda s: -s.z)[:6]:
+        lines.append(f"  {s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace, {s.z:.1f} sigma")
+    if len(where.along_trace) > 6:
+        lines.append(f"  and {len(where.along_trace) - 6} weaker stretches (diagnosis.json lists them)")
+    if d.law is not None:
+        if d.law.terms:
+            terms = ", ".join(f"{value:.3g} · {term}" for term, value in d.law.terms.items())
+            form = f"a law in {d.law.coordinate} ({terms})"
+        else:
+            form = f"a smooth function of {d.law.coordinate}"
+        lines.append(
+            _wrapped(
+                f"Until its cause is known, {form} stands in for it: of the misfit of settings that were left out it "
+                f"removes {100 * d.law.held_out_gain:.0f} ± {100 * d.law.gain_sigma:.0f} %.",
+                "  ",
+            )
+        )
+    yield "\n".join(lines)
+
+
+def _better(d: Diagnosis) -> Iterator[str]:
+    if d.verdict == "nothing-missing":
+        rows = [f"{_kind(k)} {a:.3g} {KINDS.get(k, (k, ''))[1]}".rstrip() for k, (_, a) in d.rms.items()]
+        if rows:
+            yield _wrapped("The simulation fits the recordings to " + ", ".join(rows) + " rms, settings fitted.")
+    else:
+        rows = [
+            f"{_kind(k)} {b:.3g} → {a:.3g} {KINDS.get(k, (k, ''))[1]}".rstrip()
+            for k, (b, a) in d.rms.items()
+            if isfinite(b) and isfinite(a)
+        ]
+        if rows:
+            yield _wrapped("Residuals before → after, rms, settings fitted: " + ", ".join(rows) + ".")
+    held = d.held_out
+    if held is None:
+        yield _wrapped("Fewer than three settings: nothing can be shown on settings that were not fitted.")
+        return
+    before, after = held.excess_chi2_before, held.excess_chi2_after
+    start = f"Left out in turn ({held.folds} folds, {held.data} data) and predicted from the other settings, "
+    if d.verdict == "nothing-missing":
+        yield _wrapped(
+            start + f"the recordings miss the prediction by an excess χ² of {before:.0f} ± {held.sigma:.0f} beyond "
+            "noise and setting errors."
+        )
+        return
+    text = (
+        start
+        + f"the recordings' misfit beyond noise and setting errors (excess χ²) falls from {before:.0f} to {after:.0f} "
+    )
+    text += f"(± {held.sigma:.0f})"
+    if held.fraction_removed is not None and before > 2 * held.sigma:
+        text += f": {100 * held.fraction_removed:.1f} % of it is removed."
+    else:
+        text += "; before, it was within its scatter, so that these recordings show no gain."
+    yield _wrapped(text)
+
+
+def _kind(kind: str) -> str:
+    return KINDS.get(kind, (kind, ""))[0]
+
+
+def _sigma(s: SplitBy) -> str:
+    return f"{s.separation_sigma:.1f} sigma" if s.separation_sigma < 20 else f"{s.separation_sigma:.0f} sigma"
+
+
+def _ended(text: str) -> str:
+    return text if text.endswith((".", "!", "?")) else text + "."
+
+
+def _next(d: Diagnosis) -> Iterator[str]:
+    if not d.next:
+        return
+    best = d.next[0]
+    lines = [_wrapped(f"Next: {_ended(best.what)} It separates what is still open by {_sigma(best)}.")]
+    for s in d.next[1:3]:
+        lines.append(_wrapped(f"or: {_ended(s.what)} ({_sigma(s)})", "  "))
+    yield "\n".join(lines)
+
+
+def _limits(d: Diagnosis, about: About) -> Iterator[str]:
+    """All of them where nothing was found; else only those that could not be seen at all."""
+    element = {e.name: e.element for e in about.catalogue}
+    seen = {k: v for k, v in d.limits.items() if v.reachable}
+    blind = {k: v for k, v in d.limits.items() if not v.reachable}
+    if d.verdict == "nothing-missing" and seen:
+        lines = ["Each of these would have been seen at five sigma had it been as large as:"]
+        lines += limit_rows(seen, element)
+        yield "\n".join(lines)
+    if blind:
+        start = "Cannot be seen in these recordings at any plausible size: "
+        yield _wrapped(start + ", ".join(f"{k} ({_limit(v)} needed)" for k, v in blind.items()) + ".")
+
+
+def _limit(v: Limit) -> str:
+    if not isfinite(v.five_sigma):
+        return f"{v.parameter}: no size is enough"
+    return f"{v.parameter} = {_short(v.five_sigma)} {_unit(v.unit)}".rstrip()
+
+
+def _short(x: float) -> str:
+    """Three digits, without an exponent between 1e-4 and 1e5."""
+    return f"{x:.3g}" if not 1e3 <= abs(x) < 1e5 else f"{x:.0f}"
+
+
+def limit_rows(limits: Mapping[str, Limit], element: Mapping[str, str]) -> list[str]:
+    """Two limits to a line, in the order given."""
+    cells = [f"{name:<22}{_limit(v)}" for name, v in limits.items()]
+    half = (len(cells) + 1) // 2
+    right = [*cells[half:], ""]
+    return [f"  {a:<48}{b}".rstrip() for a, b in zip(cells[:half], right, strict=False)]
+
+
+def _settings(d: Diagnosis) -> Iterator[str]:
+    text = []
+    if d.setting_scale > 1.5:
+        text.append(
+            f"The settings were off by about {d.setting_scale:.1f} times what the file states as their uncertainty."
+        )
+    if d.sigma_scale > 1.15:
+        text.append(f"The noise is {d.sigma_scale:.2f} times what the photographs' own error bars say.")
+    if d.correlation > 0:
+        text.append(f"Neighbouring points err together over {d.correlation:.2g} mm.")
+    far = sorted(((k, v) for k, v in d.pulls.items() if abs(v) > 3), key=lambda kv: -abs(kv[1]))
+    if far:
+        words = ", ".join(f"{k} ({v:+.1f} sigma)" for k, v in far[:5])
+        text.append(f"Far from where it was set: {words}.")
+    if text:
+        yield _wrapped(" ".join(text))
