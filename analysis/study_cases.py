@@ -62,7 +62,7 @@ class Truth:
 
 
 def bench(design: str, rng: np.random.Generator, shrink: int = 1) -> Recording:
-    """A recording's settings: ``six`` or ``twelve`` near those of the campaign, or ``fig7``, the two of Fig. 7.
+    """A recording's settings: ``six`` near those of the campaign, ``campaign`` itself, or ``fig7``, the two of Fig. 7.
 
     ``shrink`` divides the cameras' resolution.
     """
@@ -79,7 +79,7 @@ def bench(design: str, rng: np.random.Generator, shrink: int = 1) -> Recording:
     jitter = {e.setting: rng.uniform(-1, 1, 5) for e in chosen}
     moved = []
     for e in chosen:
-        j = jitter[e.setting] if design != "fig7" else np.zeros(5)
+        j = jitter[e.setting] if design == "six" else np.zeros(5)
         x, y, z = e.mirror_position
         moved.append(
             replace(
