@@ -1,1 +1,3 @@
 """Locate, name and size what a simulation lacks; knows no instrument (see `problem.Problem`)."""
+
+from benchsim.diagnosis.naming import name as name

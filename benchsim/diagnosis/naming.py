@@ -1,0 +1,342 @@
+"""Weigh every explanation that the catalogue offers: noise, screening, refits, and the probability of each effect.
+
+The null is refitted first, and the whole catalogue differentiated once, about it. All singles and pairs are screened there;
+the most probable are refitted until no hypothesis that was only screened could still matter. What contains a refitted
+hypothesis is weighed again about *its* point: after a strong effect has been fitted, the second one is no longer hidden
+behind the curvature of the first. Larger sets grow from the best refitted pairs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from benchsim.diagnosis import evidence, linear, noise, refit, screen, settings
+from benchsim.diagnosis.evidence import Term
+from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
+from benchsim.diagnosis.linear import Linear
+from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.refit import Context, Hypothesis, Known, Point, Solved
+from benchsim.diagnosis.screen import Catalogue
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+FEWEST, MOST = 5, 10
+"""Refits, the null included."""
+
+MATTERS = 6.0
+"""ln Z behind the best at which a hypothesis that was only screened is left at that."""
+
+LARGEST = 4
+"""Effects in one hypothesis."""
+
+NOISE_MOVED = 0.02
+"""Change of a kind's scale, or of the shared variance in units of the white one, that asks for everything anew."""
+
+
+@dataclass
+class _Table:
+    """ln Z of all hypotheses, and about whose fit each was weighed."""
+
+    log_z: dict[Effects, float]
+    source: dict[Effects, Effects]
+
+
+def name(problem: Problem, progress: Progress | None = None, *, refits: int = MOST) -> Naming:
+    """Weigh all hypotheses of the catalogue.
+
+    Parameters
+    ----------
+    problem : Problem
+    progress : callable, optional
+        Called with what is being done and the fraction done.
+    refits : int
+        Most hypotheses that are refitted.
+
+    Returns
+    -------
+    Naming
+
+    Raises
+    ------
+    ValueError
+        If the data are not blocks with finite numbers, or the simulation cannot predict them as stated.
+    """
+    tell = progress or (lambda what, done: None)
+    _check(problem)
+    tell("fitting the settings", 0.0)
+    solved, found = _null(problem)
+    tell("differentiating the effects", 0.15)
+    catalogue = screen.expand(problem, solved.fit.values)
+    remove = _removed(problem, catalogue, solved.known.columns)
+    found = noise.estimate(problem, solved.residual, remove)
+    for attempt in range(2):
+        context = _context(problem, found)
+        solved = refit.fit(
+            context,
+            Hypothesis(()),
+            _starts(solved.point),
+            solved.known,
+            np.zeros((len(problem.data), 0)),
+            screen.log_prior((), list(catalogue.effects)),
+        )
+        tell("weighing singles and pairs", 0.35)
+        table, done = _search(context, catalogue, solved, refits, tell)
+        best = max(done.values(), key=lambda s: s.fit.log_evidence if s.fit.converged else -np.inf)
+        again = noise.estimate(problem, best.residual, remove)
+        if attempt or not _moved(found, again):
+            break
+        found = again
+    tell("weighing done", 1.0)
+    return _naming(problem, context, catalogue, solved, table, done, found)
+
+
+def _check(problem: Problem) -> None:
+    if not len(problem.data) or not np.isfinite(problem.data).all():
+        raise ValueError("the problem's data are empty or not finite; leave such data out")
+    if (np.diff(problem.block) < 0).any():
+        raise ValueError("the problem's data are not block after block; sort them by block")
+    if not all(np.isfinite(c).all() for c in problem.covariance):
+        raise ValueError("a covariance of the problem is not finite; leave such data out")
+
+
+def _context(problem: Problem, found: Noise) -> Context:
+    return Context(problem, refit.whitener(problem, found.covariance), *settings.grid())
+
+
+def _starts(point: Point) -> list[Point]:
+    """The null's: where it is, and a point on the other side of the stated settings."""
+    return [point, replace(point, nuisance=-point.nuisance)]
+
+
+def _null(problem: Problem) -> tuple[Solved, Noise]:
+    """The null's fit from the stated settings, with a first estimate of the noise."""
+    zero = Point(np.zeros(len(problem.nuisances)), np.zeros(0), np.zeros(0))
+    residual = problem.data - linear.predict_all(problem, {})
+    if not np.isfinite(residual).all():
+        raise ValueError("the simulation predicts no finite value for some data as stated; leave such data out")
+    columns = linear.columns(problem, {}, problem.nuisances) * np.array([n.sigma for n in problem.nuisances])
+    largest = float(settings.grid()[0][-1])
+    found = noise.estimate(problem, residual, columns * largest)
+    solved = refit.fit(
+        _context(problem, found),
+        Hypothesis(()),
+        [zero],
+        Known(columns, (), zero.nuisance),
+        np.zeros((len(problem.data), 0)),
+    )
+    return solved, found
+
+
+def _removed(problem: Problem, catalogue: Catalogue, nuisance: Array) -> Array:
+    """What noise is not to be estimated from: what settings (at their largest scale) and effects could do."""
+    scaled = np.array([n.scaled for n in problem.nuisances], bool)
+    largest = float(settings.grid()[0][-1])
+    size = np.ones(catalogue.columns.shape[1])
+    for effect in problem.catalogue:
+        sigma = [p.sigma**p.power for p in evidence.amplitudes(effect)]
+        for node in catalogue.nodes[effect.name]:
+            size[list(node.columns)] = sigma
+    return np.column_stack([nuisance * np.where(scaled, largest, 1.0), catalogue.columns * size])
+
+
+def _moved(before: Noise, after: Noise) -> bool:
+    changes = [
+        np.abs(np.diag(b) / np.diag(a) - 1).max() for a, b in zip(before.covariance, after.covariance, strict=True)
+    ]
+    return bool(max(changes) > 2 * NOISE_MOVED)
+
+
+def _search(
+    context: Context, catalogue: Catalogue, null: Solved, refits: int, tell: Progress
+) -> tuple[_Table, dict[Effects, Solved]]:
+    """Screen, refit, weigh again what contains the refitted, until nothing unfitted matters."""
+    white = context.whiten(catalogue.columns)
+    log_z = screen.screen(null.fit.linear, catalogue, white, context.scales, context.weights)
+    log_z[()] = null.fit.log_evidence
+    table = _Table(log_z, dict.fromkeys(log_z, ()))
+    done: dict[Effects, Solved] = {(): null}
+    while len(done) < refits:
+        best = max(s.fit.log_evidence for s in done.values())
+        left = [e for e in table.log_z if e not in done]
+        if not left:
+            break
+        pick = max(left, key=lambda e: table.log_z[e])
+        if table.log_z[pick] < best - MATTERS and len(done) >= FEWEST:
+            break
+        tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * len(done) / refits)
+        solved = _refit(context, catalogue, pick, done[table.source[pick]], done)
+        done[pick] = solved
+        table.log_z[pick] = solved.fit.log_evidence
+        if solved.fit.converged:
+            _weigh_again(context, catalogue, white, solved, table, done)
+    return table, done
+
+
+def _nearest(effects: Effects, done: Mapping[Effects, Solved]) -> Known:
+    """Nuisances' columns about the fit that shares most effects."""
+    return done[max(done, key=lambda e: (len(set(e) & set(effects)), -len(set(e) - set(effects))))].known
+
+
+def _hypothesis(catalogue: Catalogue, effects: Effects) -> Hypothesis:
+    return Hypothesis(tuple(catalogue.effects[e] for e in effects))
+
+
+def _refit(
+    context: Context, catalogue: Catalogue, effects: Effects, source: Solved, done: Mapping[Effects, Solved]
+) -> Solved:
+    """Refit a hypothesis from the fit it was weighed about, checked from the stated settings."""
+    h = _hypothesis(catalogue, effects)
+    lin = source.fit.linear
+    nodes = _best_nodes(context, catalogue, h, source)
+    at = source.fit.values
+    own_effects = source.fit.effects
+    starts = []
+    for first, node in enumerate(nodes):
+        amplitude, shape = [], []
+        for e, i in zip(h.effects, node, strict=True):
+            keep = e.name in own_effects and first == 0
+            amplitude += [linear.fit_value(p, at.get(p.name, 0.0)) if keep else 0.0 for p in evidence.amplitudes(e)]
+            place = catalogue.nodes[e.name][i].shape
+            shape += [at[p.name] if keep else place[p.name] for p in evidence.shapes(e)]
+        nuisance = source.point.nuisance if first == 0 else np.zeros(lin.nuisance.shape[1])
+        starts.append(Point(nuisance, np.array(amplitude), np.array(shape)))
+    own = None
+    if not own_effects:
+        chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
+        own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])
+    prior = screen.log_prior(effects, list(catalogue.effects))
+    solved = refit.fit(context, h, starts, _nearest(effects, done), own, prior)
+    if h.shapes and not _shape_is_seen(h, solved):
+        # Laplace fails where the amplitude is too small to say where: the sum over the grid stands.
+        summed = _log_z_about(context, catalogue, context.whiten(catalogue.columns), done[()], [effects])[effects]
+        solved = replace(solved, fit=replace(solved.fit, log_evidence=summed))
+    return solved
+
+
+def _shape_is_seen(h: Hypothesis, solved: Solved) -> bool:
+    """Every effect with shapes has an amplitude of at least four sigma."""
+    fit = solved.fit
+    for e in h.effects:
+        if evidence.shapes(e):
+            own = [p.name for p in evidence.amplitudes(e)]
+            if max(abs(fit.values[n]) / max(fit.sigma[n], 1e-300) for n in own) < 4:
+                return False
+    return True
+
+
+def _best_nodes(context: Context, catalogue: Catalogue, h: Hypothesis, source: Solved) -> list[tuple[int, ...]]:
+    """Grid nodes to start from: the most probable, then the next best that differs (or the same)."""
+    if not h.shapes:
+        only = tuple(0 for _ in h.effects)
+        return [only, only]
+    new = [e for e in h.effects if e.name not in source.fit.effects]
+    terms = screen.hypothesis_terms(catalogue, tuple(e.name for e in new), {})
+    many = settings.marginals(source.fit.linear, context.whiten(catalogue.columns), context.scales)
+    gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
+    log_z = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
+    log_z = logsumexp(log_z + settings.log_null(many, context.weights)[:, None], axis=0)
+    ranked: list[tuple[int, ...]] = []
+    for i in np.argsort(-log_z):
+        if terms[i].node not in ranked:
+            ranked.append(terms[i].node)
+        if len(ranked) == 2:
+            break
+    ranked = [*ranked, ranked[0]][:2]
+    place = {e.name: j for j, e in enumerate(new)}
+    return [tuple(node[place[e.name]] if e.name in place else 0 for e in h.effects) for node in ranked]
+
+
+def _log_z_about(
+    context: Context, catalogue: Catalogue, white: Array, solved: Solved, wanted: Sequence[Effects]
+) -> dict[Effects, float]:
+    """ln Z of hypotheses about a refitted point, prior of presence included; what both hold has its columns there."""
+    h = _hypothesis(catalogue, solved.fit.effects)
+    k = len(h.amplitudes)
+    own = np.column_stack([solved.fit.linear.effect, context.whiten(solved.own[:, k:])])
+    columns = np.column_stack([own, white])
+    number = {p.name: i for i, p in enumerate((*h.amplitudes, *h.shapes))}
+    cache: dict[str, list[Term]] = {}
+    listed = []
+    for effects in wanted:
+        kept = Hypothesis(tuple(e for e in h.effects if e.name in effects))
+        there = [number[p.name] for p in (*kept.amplitudes, *kept.shapes)]
+        base = [replace(t, columns=tuple(there[c] for c in t.columns)) for t in kept.terms()]
+        more = tuple(e for e in effects if e not in h.names)
+        joined = screen.hypothesis_terms(catalogue, more, cache, own.shape[1])
+        listed.append((effects, [screen.join(a, b) for a in base for b in joined]))
+    found = screen.weigh(solved.fit.linear, columns, context.scales, context.weights, listed)
+    return {e: z + screen.log_prior(e, list(catalogue.effects)) for e, z in found.items()}
+
+
+def _weigh_again(
+    context: Context,
+    catalogue: Catalogue,
+    white: Array,
+    solved: Solved,
+    table: _Table,
+    done: Mapping[Effects, Solved],
+) -> None:
+    """Weigh what has one effect more or less about this fit, where no better fit has done so already.
+
+    One less matters as much: about a null that a strong effect has bent, a pair can be weighed right and each of its
+    members wrong, and then the pair's idle member would seem to be needed.
+    """
+    own, names = solved.fit.effects, list(catalogue.effects)
+    wanted = []
+    for one in names if own else ():
+        effects = tuple(n for n in names if (n in own) != (n == one))
+        if not effects or effects in done or len(effects) > LARGEST:
+            continue
+        source = table.source.get(effects)
+        if source is None or done[source].fit.log_evidence < solved.fit.log_evidence:
+            wanted.append(effects)
+    for effects, z in _log_z_about(context, catalogue, white, solved, wanted).items():
+        table.log_z[effects], table.source[effects] = z, own
+
+
+def _naming(
+    problem: Problem,
+    context: Context,
+    catalogue: Catalogue,
+    null: Solved,
+    table: _Table,
+    done: Mapping[Effects, Solved],
+    found: Noise,
+) -> Naming:
+    """Put the result together."""
+    listed = list(table.log_z)
+    z = np.array([table.log_z[e] for e in listed])
+    share = np.exp(z - logsumexp(z))
+    probability = {n: float(sum(s for e, s in zip(listed, share, strict=True) if n in e)) for n in catalogue.effects}
+    fits: list[Fit] = sorted((s.fit for s in done.values()), key=lambda f: (not f.converged, -f.log_evidence))
+    screened = sorted(((e, v) for e, v in table.log_z.items() if e), key=lambda item: -item[1])
+    scales, weights = settings.grid()
+    return Naming(
+        null.fit,
+        tuple(fits),
+        tuple(screened),
+        probability,
+        _whole(context, catalogue, null),
+        found,
+        scales,
+        weights,
+    )
+
+
+def _whole(context: Context, catalogue: Catalogue, null: Solved) -> Linear:
+    """About the null: the amplitudes of the whole catalogue, shapes at their most probable node."""
+    names: list[str] = []
+    columns: list[int] = []
+    for effect in context.problem.catalogue:
+        h = Hypothesis((effect,))
+        node = catalogue.nodes[effect.name][_best_nodes(context, catalogue, h, null)[0][0]]
+        names += [p.name for p in evidence.amplitudes(effect)]
+        columns += node.columns
+    effect = context.whiten(catalogue.columns[:, columns])
+    return replace(null.fit.linear, effect=effect, names=tuple(names))

@@ -1,0 +1,518 @@
+"""Fit one hypothesis until nothing moves, and weigh it there.
+
+Gauss-Newton on nuisances, own amplitudes (in fit space, value**power) and shape parameters together. The residual is
+always exact; a step is taken only if the exact objective falls (halved until it does). Derivatives by the hypothesis' own
+parameters are recomputed after every descent; those by the nuisances are taken over from the nearest point where they
+are known, *if* a central difference along a random combination of all of them, one posterior sigma each, agrees there;
+otherwise they are recomputed. A fit counts as converged when, with derivatives renewed, less than `STILL` could be gained,
+and when a second start ends nowhere better. An unconverged fit steals the name.
+
+The evidence is Laplace's about that point, with the exact residual: everything Gaussian in closed form, amplitudes at a
+boundary integrated (`evidence`), setting scale and field sigma summed over their grids. A shape parameter's uniform
+prior enters as a Gaussian of the same height, range/√(2π) wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
+from scipy.special import logsumexp
+
+from benchsim.diagnosis import evidence, linear, settings
+from benchsim.diagnosis.evidence import Term
+from benchsim.diagnosis.fits import Effects, Fit
+from benchsim.diagnosis.linear import Linear
+from benchsim.diagnosis.problem import Effect, Parameter, Problem
+
+Array = NDArray[np.float64]
+
+STILL = 2e-3
+"""Gain in ln posterior below which nothing is held to move: 0.06 sigma."""
+
+AGREE = 0.05
+"""Relative error of the nuisances' columns that is let pass, in a random combination of one posterior sigma each."""
+
+STEPS = 12
+"""Of one descent."""
+
+ROUNDS = 6
+"""Descents with derivatives renewed in between."""
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Cholesky factors of the blocks' covariances."""
+
+    problem: Problem
+    lower: tuple[Array, ...]
+    logdet: float
+
+    def __call__(self, columns: Array) -> Array:
+        """L⁻¹ columns, (n,) or (n, k)."""
+        out: Array = np.empty(columns.shape)
+        for b, low in enumerate(self.lower):
+            rows = self.problem.rows(b)
+            out[rows] = solve_triangular(low, columns[rows], lower=True, check_finite=False)
+        return out
+
+
+def whitener(problem: Problem, covariance: Sequence[Array]) -> Whitener:
+    """Factorise once."""
+    lower = tuple(np.linalg.cholesky(c) for c in covariance)
+    return Whitener(problem, lower, float(2 * sum(np.log(np.diag(low)).sum() for low in lower)))
+
+
+@dataclass(frozen=True)
+class Point:
+    """Nuisances in prior sigmas, amplitudes in fit space, shapes in their units."""
+
+    nuisance: Array
+    amplitude: Array
+    shape: Array
+
+
+@dataclass(frozen=True)
+class Known:
+    """Derivatives by the nuisances per prior sigma (n, p), not whitened, with the hypothesis about whose fit they are."""
+
+    columns: Array
+    effects: Effects
+    nuisance: Array
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A fit and what its neighbours can use: the point, its derivatives, its exact residual (none whitened)."""
+
+    fit: Fit
+    point: Point
+    known: Known
+    own: Array
+    residual: Array
+
+
+@dataclass
+class Count:
+    """Predictions of single blocks, counted."""
+
+    predictions: int = 0
+
+
+@dataclass(frozen=True)
+class Context:
+    """What all fits of one problem share."""
+
+    problem: Problem
+    whiten: Whitener
+    scales: Array
+    weights: Array
+    count: Count = field(default_factory=Count)
+
+    def columns(self, at: Mapping[str, float], parameters: Sequence[Parameter]) -> Array:
+        """`linear.columns`, shapes stepped by 2 % of their range, predictions counted."""
+        blocks = len(self.problem.names)
+        self.count.predictions += sum(2 * (blocks if p.blocks is None else len(p.blocks)) for p in parameters)
+        steps = {p.name: 0.02 * _range(p) for p in parameters if p.grid}
+        return linear.columns(self.problem, at, tuple(parameters), steps)
+
+    def predict(self, at: Mapping[str, float]) -> Array:
+        """`linear.predict_all`, counted."""
+        self.count.predictions += len(self.problem.names)
+        return linear.predict_all(self.problem, at)
+
+
+def _range(p: Parameter) -> float:
+    return float(max(p.grid) - min(p.grid)) or float(abs(p.grid[0]) or 1.0)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects with its parameters sorted out."""
+
+    effects: tuple[Effect, ...]
+
+    @property
+    def names(self) -> Effects:
+        return tuple(e.name for e in self.effects)
+
+    @property
+    def amplitudes(self) -> tuple[Parameter, ...]:
+        return tuple(p for e in self.effects for p in evidence.amplitudes(e))
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        return tuple(p for e in self.effects for p in evidence.shapes(e))
+
+    def terms(self) -> list[Term]:
+        """Integrals over amplitudes and shapes; columns: amplitudes, then shapes."""
+        out: list[tuple[list[tuple[int, float, int]], float, tuple[float, ...]]] = [([], 0.0, ())]
+        first = 0
+        for e in self.effects:
+            own = range(first, first + len(evidence.amplitudes(e)))
+            first += len(own)
+            out = [
+                (
+                    [*done, *evidence.entries(e, own, field_sigma)],
+                    log_w + more,
+                    fields if field_sigma is None else (*fields, field_sigma),
+                )
+                for done, log_w, fields in out
+                for field_sigma, more in evidence.field_grid(e)
+            ]
+        shape = [(first + i, _range(p) / np.sqrt(2 * np.pi), 0) for i, p in enumerate(self.shapes)]
+        return [evidence.term([*done, *shape], log_w, fields) for done, log_w, fields in out]
+
+    def sigmas(self, fields: Sequence[float]) -> Array:
+        """Prior sigma of every amplitude's value, the population's in random fields."""
+        left = list(fields)
+        out: list[float] = []
+        for e in self.effects:
+            sigma = left.pop(0) if e.random_field else None
+            out += [p.sigma if sigma is None else sigma for p in evidence.amplitudes(e)]
+        return np.array(out)
+
+
+def values(problem: Problem, hypothesis: Hypothesis, point: Point) -> dict[str, float]:
+    """A point in the parameters' units."""
+    out = {p.name: float(x * p.sigma) for p, x in zip(problem.nuisances, point.nuisance, strict=True)}
+    for p, q in zip(hypothesis.amplitudes, point.amplitude, strict=True):
+        out[p.name] = float(max(q, 0.0) ** (1 / p.power)) if p.power > 1 else float(q)
+    out.update({p.name: float(s) for p, s in zip(hypothesis.shapes, point.shape, strict=True)})
+    return out
+
+
+@dataclass(frozen=True)
+class _Prior:
+    """Quadratic (1/variance) and linear parts of −ln prior, and bounds: nuisances, amplitudes, shapes in one row."""
+
+    precision: Array
+    slope: Array
+    low: Array
+    high: Array
+    reach: Array
+    """Largest step."""
+
+    def cost(self, theta: Array) -> float:
+        return float(0.5 * self.precision @ theta**2 + self.slope @ theta)
+
+
+def _prior(context: Context, h: Hypothesis, scale: float, fields: Sequence[float]) -> _Prior:
+    scaled = np.array([p.scaled for p in context.problem.nuisances], bool)
+    p, shapes = len(scaled), h.shapes
+    precision, slope = list(np.where(scaled, scale, 1.0) ** -2.0), [0.0] * p
+    low, high, reach = [-np.inf] * p, [np.inf] * p, [np.inf] * p
+    for a, sigma in zip(h.amplitudes, h.sigmas(fields), strict=True):
+        kind = evidence.kind(a)
+        precision.append(0.0 if kind == 2 else sigma**-2.0)
+        slope.append(0.5 * sigma**-2.0 if kind == 2 else 0.0)
+        low.append(0.0 if kind else -np.inf)
+        high.append(np.inf)
+        reach.append(np.inf)
+    for s in shapes:
+        precision.append(0.0)
+        slope.append(0.0)
+        low.append(min(s.grid))
+        high.append(max(s.grid))
+        reach.append(0.25 * _range(s))
+    return _Prior(*(np.array(v, float) for v in (precision, slope, low, high, reach)))
+
+
+def _theta(point: Point) -> Array:
+    return np.concatenate([point.nuisance, point.amplitude, point.shape])
+
+
+def _point(theta: Array, p: int, k: int) -> Point:
+    return Point(theta[:p], theta[p : p + k], theta[p + k :])
+
+
+def _cost(context: Context, h: Hypothesis, prior: _Prior, theta: Array) -> tuple[float, Array]:
+    """−ln posterior, and the exact residual."""
+    problem = context.problem
+    at = values(problem, h, _point(theta, len(problem.nuisances), len(h.amplitudes)))
+    residual = problem.data - context.predict(at)
+    if not np.isfinite(residual).all():
+        return float("inf"), residual
+    white = context.whiten(residual)
+    return float(0.5 * white @ white) + prior.cost(theta), residual
+
+
+def _step(white: Array, residual: Array, prior: _Prior, theta: Array, p: int) -> tuple[Array, float]:
+    """Best step of the linearised problem within the bounds, and what it promises to gain."""
+    hessian = white.T @ white + np.diag(prior.precision)
+    force = white.T @ residual - prior.precision * theta - prior.slope
+    free, rest = hessian[:p, :p], hessian[p:, :p]
+    solved = np.linalg.solve(free, np.column_stack([force[:p], rest.T])) if p else np.zeros((0, 1 + len(theta)))
+    step = np.zeros(len(theta))
+    if len(theta) > p:
+        reduced = hessian[p:, p:] - rest @ solved[:, 1:]
+        pull = force[p:] - rest @ solved[:, 0]
+        # A shape whose amplitude is 0 changes nothing: a slight ridge keeps it where it is.
+        unit = np.sqrt(np.diag(reduced) + 1e-12 * max(float(np.diag(reduced).max()), 1e-300))
+        scaled = reduced / unit[:, None] / unit + 1e-9 * np.eye(len(unit))
+        low = np.maximum(prior.low - theta, -prior.reach)[p:] * unit
+        high = np.minimum(prior.high - theta, prior.reach)[p:] * unit
+        factor = np.linalg.cholesky(scaled)
+        target = solve_triangular(factor, pull / unit, lower=True)
+        own = solve_triangular(factor.T, target, lower=False)
+        if (own < low).any() or (own > high).any():
+            low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+            high = np.where(high > low, high, low + 1e-12)
+            own = np.clip(lsq_linear(factor.T, target, (low, high), method="bvls").x, low, high)
+        step[p:] = own / unit
+    step[:p] = solved[:, 0] - solved[:, 1:] @ step[p:]
+    return step, float(force @ step - 0.5 * step @ hessian @ step)
+
+
+@dataclass(frozen=True)
+class _State:
+    theta: Array
+    cost: float
+    residual: Array
+    promise: float
+    """Gain that the linearised problem still promises."""
+
+
+def _descend(
+    context: Context, h: Hypothesis, prior: _Prior, state: _State, white: Array, still: float = STILL / 4
+) -> _State:
+    """Gauss-Newton with the derivatives as they are."""
+    p = len(context.problem.nuisances)
+    for _ in range(STEPS):
+        step, promise = _step(white, context.whiten(state.residual), prior, state.theta, p)
+        if promise < still:
+            return replace(state, promise=promise)
+        for fraction in (1.0, 0.5, 0.25, 0.1, 0.03):
+            theta = state.theta + fraction * step
+            cost, residual = _cost(context, h, prior, theta)
+            if cost < state.cost:
+                break
+        else:
+            return replace(state, promise=promise)
+        gained = state.cost - cost
+        state = _State(theta, cost, residual, promise)
+        if gained < still:
+            return state
+    return state
+
+
+def _begin(context: Context, h: Hypothesis, prior: _Prior, point: Point) -> _State:
+    theta = _theta(point)
+    cost, residual = _cost(context, h, prior, theta)
+    return _State(theta, cost, residual, np.inf)
+
+
+def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: Array) -> Known:
+    """The nuisances' columns as known, if a random combination of them holds at this point; else recomputed."""
+    problem = context.problem
+    nuisances = problem.nuisances
+    p = len(nuisances)
+    if not p or np.array_equal(theta[:p], known.nuisance) and h.names == known.effects:
+        return known
+    at = values(problem, h, _point(theta, p, len(h.amplitudes)))
+    white = context.whiten(known.columns)
+    covariance = np.linalg.inv(white.T @ white + np.diag(scaled**-2.0))
+    # A fixed seed: the same data give the same diagnosis.
+    draw = np.linalg.cholesky(covariance) @ np.random.default_rng(len(h.names)).choice([-1.0, 1.0], p)
+    step = 0.5 * draw / max(float(np.abs(draw).max()), 0.1)
+    ends = [
+        context.predict(
+            {**at, **{n.name: at[n.name] + sign * s * n.sigma for n, s in zip(nuisances, step, strict=True)}}
+        )
+        for sign in (-1.0, 1.0)
+    ]
+    # Compared per posterior sigma: that is by how much the fit can still wander.
+    unit = float(np.linalg.norm(step) / max(float(np.linalg.norm(draw)), 1e-300))
+    wrong = context.whiten((ends[1] - ends[0]) / 2 / unit - known.columns @ step / unit)
+    stated = context.whiten(known.columns @ step / unit)
+    if np.linalg.norm(wrong) <= AGREE * max(float(np.linalg.norm(stated)), 1.0):
+        return known
+    columns = context.columns(at, nuisances) * np.array([n.sigma for n in nuisances])
+    return Known(columns, h.names, theta[:p].copy())
+
+
+def about(context: Context, h: Hypothesis, point: Point, residual: Array, known: Known, own: Array) -> Linear:
+    """The problem linearised about a point, own amplitudes' columns as its effects."""
+    k = len(h.amplitudes)
+    pseudo = residual + known.columns @ point.nuisance + own[:, :k] @ point.amplitude
+    white = context.whiten(np.column_stack([pseudo, known.columns, own[:, :k]]))
+    p = known.columns.shape[1]
+    return Linear(
+        white[:, 0],
+        white[:, 1 : 1 + p],
+        np.array([n.scaled for n in context.problem.nuisances], bool),
+        white[:, 1 + p :],
+        tuple(a.name for a in h.amplitudes),
+        context.problem.block,
+        context.whiten.logdet,
+    )
+
+
+def _log_cells(context: Context, lin: Linear, columns: Array, terms: Sequence[Term]) -> Array:
+    """ln Z of every (setting scale, term), (S, T)."""
+    many = settings.marginals(lin, columns, context.scales)
+    gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
+    cells = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
+    return np.asarray(cells + settings.log_null(many, context.weights)[:, None])
+
+
+def _choose(cells: Array) -> tuple[int, int]:
+    """Most probable setting scale, and term there."""
+    scale = int(np.argmax(logsumexp(cells, axis=1)))
+    return scale, int(np.argmax(cells[scale]))
+
+
+def fit(
+    context: Context,
+    h: Hypothesis,
+    starts: Sequence[Point],
+    known: Known,
+    own: Array | None = None,
+    log_prior: float = 0.0,
+) -> Solved:
+    """Fit a hypothesis.
+
+    Parameters
+    ----------
+    context : Context
+    h : Hypothesis
+    starts : sequence of Point
+        The first is followed; the others check where it ends.
+    known : Known
+        Nuisances' columns at a point nearby.
+    own : (n, k) array, optional
+        Columns of own amplitudes and shapes at the first start; default they are differentiated.
+    log_prior : float
+        Of the presence of its effects.
+
+    Returns
+    -------
+    Solved
+    """
+    problem, p, k = context.problem, len(context.problem.nuisances), len(h.amplitudes)
+    is_scaled = np.array([n.scaled for n in problem.nuisances], bool)
+    terms, parameters = h.terms(), (*h.amplitudes, *h.shapes)
+
+    def white(a: Array, b: Array) -> Array:
+        return context.whiten(np.column_stack([a, b]))
+
+    def columns_at(theta: Array) -> Array:
+        return context.columns(values(problem, h, _point(theta, p, k)), parameters)
+
+    def chosen(theta: Array, residual: Array) -> tuple[int, int]:
+        lin = about(context, h, _point(theta, p, k), residual, known, own)
+        return _choose(_log_cells(context, lin, np.column_stack([lin.effect, context.whiten(own[:, k:])]), terms))
+
+    theta = _theta(starts[0])
+    own = columns_at(theta) if own is None else own
+    residual = problem.data - context.predict(values(problem, h, starts[0]))
+    hyper = chosen(theta, residual)
+    prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
+    state = _begin(context, h, prior, starts[0])
+    converged, checked = False, 0
+    for _ in range(ROUNDS):
+        state = _descend(context, h, prior, state, white(known.columns, own))
+        s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
+        known = _fresh(context, h, state.theta, known, s)
+        own = columns_at(state.theta)
+        hyper_now = chosen(state.theta, state.residual)
+        moved = hyper_now != hyper
+        if moved:
+            hyper = hyper_now
+            prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
+            state = _begin(context, h, prior, _point(state.theta, p, k))
+        promise = _step(white(known.columns, own), context.whiten(state.residual), prior, state.theta, p)[1]
+        converged = promise < STILL
+        if not converged:
+            continue
+        if checked >= len(starts) - 1:
+            break
+        checked += 1
+        other = _begin(context, h, prior, starts[checked])
+        if np.isfinite(other.cost):
+            other = _descend(context, h, prior, other, white(known.columns, own))
+            if other.cost < state.cost - STILL:
+                state, converged = other, False
+                continue
+        if checked >= len(starts) - 1:
+            break
+    return _solved(context, h, state, known, own, terms, hyper, converged, log_prior)
+
+
+def _solved(
+    context: Context,
+    h: Hypothesis,
+    state: _State,
+    known: Known,
+    own: Array,
+    terms: Sequence[Term],
+    hyper: tuple[int, int],
+    converged: bool,
+    log_prior: float,
+) -> Solved:
+    problem, p, k = context.problem, len(context.problem.nuisances), len(h.amplitudes)
+    point = _point(state.theta, p, k)
+    lin = about(context, h, point, state.residual, known, own)
+    columns = np.column_stack([lin.effect, context.whiten(own[:, k:])])
+    cells = _log_cells(context, lin, columns, terms)
+    mean, covariance = _posterior(context, h, lin, columns, cells, terms)
+    del mean
+    at = values(problem, h, point)
+    sd = np.sqrt(np.diag(covariance))
+    sigma = {n.name: float(s * n.sigma) for n, s in zip(problem.nuisances, sd, strict=False)}
+    slope = np.ones(p + k + len(h.shapes))
+    for i, (a, q) in enumerate(zip(h.amplitudes, point.amplitude, strict=True)):
+        if a.power > 1:
+            # Half the width of the interval q ± its sigma, seen in the value: well defined at 0 too.
+            s = sd[p + i]
+            slope[p + i] = (np.sqrt(q + s) - np.sqrt(max(q - s, 0.0))) / (2 * s)
+    sigma.update({a.name: float(s) for a, s in zip((*h.amplitudes, *h.shapes), (sd * slope)[p:], strict=True)})
+    names = [a.name for a in (*h.amplitudes, *h.shapes)]
+    order = [names.index(a.name) for e in h.effects for a in e.parameters]
+    own_covariance = (covariance * slope[:, None] * slope)[p:, p:][np.ix_(order, order)]
+    white = context.whiten(state.residual)
+    done = Fit(
+        h.names,
+        float(logsumexp(cells)) + log_prior,
+        at,
+        sigma,
+        own_covariance,
+        float(context.scales[hyper[0]]),
+        float(white @ white),
+        converged,
+        lin,
+    )
+    return Solved(done, point, known, own, state.residual)
+
+
+def _posterior(
+    context: Context, h: Hypothesis, lin: Linear, columns: Array, cells: Array, terms: Sequence[Term]
+) -> tuple[Array, Array]:
+    """Mean and covariance of nuisances, amplitudes (fit space) and shapes about the point, hyper-parameters mixed in."""
+    weights = np.exp(cells - logsumexp(cells))
+    both = np.column_stack([lin.nuisance, columns])
+    square, projected = both.T @ both, both.T @ lin.residual
+    p, k = lin.nuisance.shape[1], len(h.amplitudes)
+    means, covariances, kept = [], [], []
+    for i, j in zip(*np.nonzero(weights > 1e-3), strict=True):
+        prior = _prior(context, h, context.scales[i], terms[j].field_sigma)
+        precision = prior.precision.copy()
+        precision[p + k :] = [2 * np.pi / _range(s) ** 2 for s in h.shapes]
+        # Where power 2 meets data that say nothing, its prior still bounds it.
+        squares = [
+            2.0 / s**4 if evidence.kind(a) == 2 else 0.0
+            for a, s in zip(h.amplitudes, h.sigmas(terms[j].field_sigma), strict=True)
+        ]
+        precision[p : p + k] += 1e-3 * np.array(squares)
+        covariance = np.linalg.inv(square + np.diag(precision))
+        means.append(covariance @ (projected - prior.slope))
+        covariances.append(covariance)
+        kept.append(weights[i, j])
+    w = np.array(kept) / sum(kept)
+    mean = np.einsum("i,ij->j", w, np.array(means))
+    away = np.array(means) - mean
+    return mean, np.einsum("i,ijk->jk", w, np.array(covariances)) + np.einsum("i,ij,ik->jk", w, away, away)

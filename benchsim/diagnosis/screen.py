@@ -1,0 +1,209 @@
+"""Weigh every single and pair of the catalogue by linear algebra alone.
+
+All hypotheses share the products of the catalogue's columns with the nuisances marginalised (`linear.Marginal`); each
+is then a small integral (`evidence`). Shape parameters are summed over their grid, a random field over its sigma, all
+over the setting scale. Not for large nonlinear effects as they stand: those are refitted (`refit`), and what contains
+them is weighed again about the refitted point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from benchsim.diagnosis import evidence, linear, settings
+from benchsim.diagnosis.evidence import Term
+from benchsim.diagnosis.fits import Effects
+from benchsim.diagnosis.linear import Linear
+from benchsim.diagnosis.problem import Effect, Parameter, Problem, Values
+
+Array = NDArray[np.float64]
+PRESENCE = 0.02
+"""Prior probability of each effect to be present."""
+
+
+@dataclass(frozen=True)
+class Node:
+    """An effect at one point of its shape grid: shape values, columns of its amplitudes, ln of the prior weight."""
+
+    shape: Mapping[str, float]
+    columns: tuple[int, ...]
+    log_weight: float
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """The catalogue's columns, shapes expanded.
+
+    Attributes
+    ----------
+    effects : mapping of str to Effect
+    nodes : mapping of str to tuple of Node
+    columns : (n, K)
+        Derivative of the prediction by value**power.
+    """
+
+    effects: Mapping[str, Effect]
+    nodes: Mapping[str, tuple[Node, ...]]
+    columns: Array
+
+
+def _grid_weights(values: tuple[float, ...]) -> Array:
+    """Trapezoid weights of a uniform prior over the range of the grid."""
+    if len(values) == 1:
+        return np.ones(1)
+    at = np.asarray(values, float)
+    order = np.argsort(at)
+    gaps = np.diff(at[order])
+    weights = np.empty(len(at))
+    weights[order] = (np.append(gaps, 0) + np.insert(gaps, 0, 0)) / 2
+    return weights / weights.sum()
+
+
+def expand(problem: Problem, at: Values) -> Catalogue:
+    """Differentiate the whole catalogue at a point, every shape at all nodes of its grid."""
+    nodes: dict[str, tuple[Node, ...]] = {}
+    plain: list[Parameter] = []
+    later: list[tuple[dict[str, float], tuple[Parameter, ...]]] = []
+    for effect in problem.catalogue:
+        if not evidence.shapes(effect):
+            own = evidence.amplitudes(effect)
+            nodes[effect.name] = (Node({}, tuple(range(len(plain), len(plain) + len(own))), 0.0),)
+            plain.extend(own)
+    parts = [linear.columns(problem, at, tuple(plain))]
+    count = len(plain)
+    for effect in problem.catalogue:
+        shape = evidence.shapes(effect)
+        if not shape:
+            continue
+        own, found = evidence.amplitudes(effect), []
+        weights = [_grid_weights(p.grid) for p in shape]
+        for place in product(*(range(len(p.grid)) for p in shape)):
+            values = {p.name: float(p.grid[i]) for p, i in zip(shape, place, strict=True)}
+            log_weight = sum(float(np.log(w[i])) for w, i in zip(weights, place, strict=True))
+            found.append(Node(values, tuple(range(count, count + len(own))), log_weight))
+            later.append((values, own))
+            count += len(own)
+        nodes[effect.name] = tuple(found)
+    parts += [linear.columns(problem, {**at, **values}, own) for values, own in later]
+    return Catalogue({e.name: e for e in problem.catalogue}, nodes, np.column_stack(parts))
+
+
+def singles_and_pairs(names: Sequence[str]) -> list[Effects]:
+    """Every set of one or two, in the catalogue's order."""
+    return [*((n,) for n in names), *combinations(names, 2)]
+
+
+def log_prior(effects: Effects, catalogue: Sequence[str]) -> float:
+    """ln of the prior probability that just these are present."""
+    return len(effects) * float(np.log(PRESENCE)) + (len(catalogue) - len(effects)) * float(np.log1p(-PRESENCE))
+
+
+def effect_terms(catalogue: Catalogue, name: str, offset: int = 0) -> list[Term]:
+    """All integrals of one effect: its grid nodes times its population sigmas."""
+    effect = catalogue.effects[name]
+    out = []
+    for i, node in enumerate(catalogue.nodes[name]):
+        columns = [c + offset for c in node.columns]
+        for field_sigma, log_weight in evidence.field_grid(effect):
+            made = evidence.term(
+                evidence.entries(effect, columns, field_sigma),
+                node.log_weight + log_weight,
+                () if field_sigma is None else (field_sigma,),
+            )
+            out.append(replace(made, node=(i,)))
+    return out
+
+
+def join(first: Term, second: Term) -> Term:
+    """Two effects together."""
+
+    def merge(a: tuple, b: tuple) -> tuple:  # type: ignore[type-arg]
+        parts: list[float] = []
+        i = j = 0
+        for n, m in zip(first.counts, second.counts, strict=True):
+            parts += [*a[i : i + n], *b[j : j + m]]
+            i, j = i + n, j + m
+        return tuple(parts)
+
+    return Term(
+        merge(first.columns, second.columns),
+        merge(first.sigma, second.sigma),
+        (
+            first.counts[0] + second.counts[0],
+            first.counts[1] + second.counts[1],
+            first.counts[2] + second.counts[2],
+        ),
+        first.log_weight + second.log_weight,
+        first.field_sigma + second.field_sigma,
+        first.node + second.node,
+    )
+
+
+def hypothesis_terms(
+    catalogue: Catalogue, effects: Effects, cache: dict[str, list[Term]], offset: int = 0
+) -> list[Term]:
+    """All integrals of a set of effects."""
+    for name in effects:
+        if name not in cache:
+            cache[name] = effect_terms(catalogue, name, offset)
+    terms = [Term((), (), (0, 0, 0), 0.0)]
+    for name in effects:
+        terms = [join(a, b) for a in terms for b in cache[name]]
+    return terms
+
+
+def weigh(
+    about: Linear,
+    columns: Array,
+    scales: Array,
+    weights: Array,
+    hypotheses: Iterable[tuple[Effects, list[Term]]],
+) -> dict[Effects, float]:
+    """ln Z of hypotheses, the prior of presence not included.
+
+    Parameters
+    ----------
+    about : Linear
+    columns : (n, K) array
+        Whitened; what the terms' column numbers mean.
+    scales, weights : (m,) array
+    hypotheses : iterable of (effects, terms)
+    """
+    many = settings.marginals(about, columns, scales)
+    base = settings.log_null(many, weights)
+    gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
+    listed = list(hypotheses)
+    terms = [t for _, ts in listed for t in ts]
+    factors = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
+    factors += base[:, None]
+    out, first = {}, 0
+    for effects, ts in listed:
+        out[effects] = float(logsumexp(factors[:, first : first + len(ts)]))
+        first += len(ts)
+    return out
+
+
+def screen(about: Linear, catalogue: Catalogue, columns: Array, scales: Array, weights: Array) -> dict[Effects, float]:
+    """ln Z of the null and of all singles and pairs, the prior of their presence included.
+
+    Parameters
+    ----------
+    about : Linear
+        At the null's fit.
+    catalogue : Catalogue
+    columns : (n, K) array
+        The catalogue's columns, whitened.
+    scales, weights : (m,) array
+        Grid of the setting scale.
+    """
+    names = list(catalogue.effects)
+    cache: dict[str, list[Term]] = {}
+    hypotheses = [(e, hypothesis_terms(catalogue, e, cache)) for e in [(), *singles_and_pairs(names)]]
+    found = weigh(about, columns, scales, weights, hypotheses)
+    return {e: z + log_prior(e, names) for e, z in found.items()}
