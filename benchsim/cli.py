@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 app = typer.Typer(
-    help="A heliostat bench as software: render it, read it back, validate the vector model.",
+    help="A heliostat bench as software: render it, read it back, validate the vector model, diagnose what is missing.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -54,7 +55,7 @@ def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> None:
         typer.echo(f"benchsim: {error}", err=True)
         raise typer.Exit(1) from None
     except KeyboardInterrupt:
-        typer.echo("benchsim: stopped; nothing was written", err=True)
+        typer.echo("benchsim: stopped; nothing is left half-written", err=True)
         raise typer.Exit(130) from None
     if as_json:
         import json
@@ -139,6 +140,47 @@ def validate(
     from benchsim import jobs
 
     _do(jobs.validate, json, recording=recording, output=output)
+
+
+class Against(StrEnum):
+    """The simulation in doubt."""
+
+    bench = "bench"
+    vector = "vector"
+
+
+InDoubt = Annotated[
+    Against, typer.Option(help="Simulation in doubt: the bench as the file states it, or the paper's vector model.")
+]
+
+
+@app.command()
+def diagnose(
+    recording: Annotated[Path, typer.Argument(help="Recording folder.")],
+    output: Output = None,
+    against: InDoubt = Against.bench,
+    pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw what was found.")] = True,
+    json: Json = False,
+) -> None:
+    """Say what the simulation lacks: where, what, how large, and what to do; or what would have been seen."""
+    from benchsim import jobs
+
+    _do(jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures)
+
+
+@app.command()
+def effects(
+    recording: Annotated[
+        Path | None, typer.Option("--for", help="Recording or bench file: what its settings could show.")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default: none.")] = None,
+    against: InDoubt = Against.bench,
+    json: Json = False,
+) -> None:
+    """List the effects of the catalogue, or those that a recording could detect and tell apart."""
+    from benchsim import jobs
+
+    _do(jobs.effects, json, recording=recording, output=output, against=against.value)
 
 
 def main() -> None:

@@ -8,9 +8,16 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-_MODULES = {"run": "running", "render": "rendering", "fit": "fitting", "validate": "validating"}
+_MODULES = {
+    "run": "running",
+    "render": "rendering",
+    "fit": "fitting",
+    "validate": "validating",
+    "diagnose": "diagnosing",
+    "effects": "effecting",
+}
 
-__all__ = ["fit", "render", "run", "validate"]
+__all__ = ["diagnose", "effects", "fit", "render", "run", "validate"]
 
 
 def __getattr__(name: str) -> Any:

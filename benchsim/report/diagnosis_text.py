@@ -72,7 +72,7 @@ def summary(d: Diagnosis, about: About) -> str:
     str
         Paragraphs of at most 100 columns.
     """
-    count = f"{_number(about.exposures, 'exposure')} of {_number(about.settings, 'setting')}"
+    count = f"{number(about.exposures, 'exposure')} of {number(about.settings, 'setting')}"
     parts = [f"{about.title}: {count}, against {SIMULATION.get(about.against, about.against)}."]
     parts.append(_headline(d))
     parts += [_found(f) for f in d.effects]
@@ -80,7 +80,7 @@ def summary(d: Diagnosis, about: About) -> str:
     parts += list(_where(d))
     parts += list(_better(d))
     parts += list(_next(d))
-    parts += list(_limits(d, about))
+    parts += list(_limits(d))
     parts += list(_settings(d))
     parts += [_wrapped(f"Dropped: {sentence}") for sentence in about.lost]
     parts += [_wrapped(sentence) for sentence in (*about.remarks, *d.notes)]
@@ -94,9 +94,9 @@ def summary(d: Diagnosis, about: About) -> str:
 def rounded(size: Size) -> str:
     """``value ± sigma unit`` with two digits of sigma: ``0.0310 ± 0.0009 1/m``."""
     if not isfinite(size.sigma) or size.sigma <= 0:
-        return f"{size.value:.3g} {_unit(size.unit)}".rstrip()
+        return f"{size.value:.3g} {unit_text(size.unit)}".rstrip()
     digits = max(0, 1 - floor(log10(size.sigma)))
-    return f"{size.value:.{digits}f} ± {size.sigma:.{digits}f} {_unit(size.unit)}".rstrip()
+    return f"{size.value:.{digits}f} ± {size.sigma:.{digits}f} {unit_text(size.unit)}".rstrip()
 
 
 def percent(p: float) -> str:
@@ -113,12 +113,13 @@ def odds(margin: float) -> str:
     return f"odds of {exp(max(margin, 0.0)):.3g} to 1"
 
 
-def _unit(unit: str) -> str:
+def unit_text(unit: str) -> str:
     """A pure number has no unit; ``1e-3`` is a factor."""
     return {"1": "", "1e-3": "×10⁻³"}.get(unit, unit)
 
 
-def _number(n: int, noun: str) -> str:
+def number(n: int, noun: str) -> str:
+    """``1 exposure``, ``2 exposures``."""
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
@@ -278,24 +279,24 @@ def _next(d: Diagnosis) -> Iterator[str]:
     yield "\n".join(lines)
 
 
-def _limits(d: Diagnosis, about: About) -> Iterator[str]:
+def _limits(d: Diagnosis) -> Iterator[str]:
     """All of them where nothing was found; else only those that could not be seen at all."""
-    element = {e.name: e.element for e in about.catalogue}
     seen = {k: v for k, v in d.limits.items() if v.reachable}
     blind = {k: v for k, v in d.limits.items() if not v.reachable}
     if d.verdict == "nothing-missing" and seen:
         lines = ["Each of these would have been seen at five sigma had it been as large as:"]
-        lines += limit_rows(seen, element)
+        lines += limit_rows(seen)
         yield "\n".join(lines)
     if blind:
         start = "Cannot be seen in these recordings at any plausible size: "
-        yield _wrapped(start + ", ".join(f"{k} ({_limit(v)} needed)" for k, v in blind.items()) + ".")
+        yield _wrapped(start + ", ".join(f"{k.split('.')[0]} ({size_text(v)} needed)" for k, v in blind.items()) + ".")
 
 
-def _limit(v: Limit) -> str:
+def size_text(v: Limit) -> str:
+    """``bow_z = 0.0042 1/m``."""
     if not isfinite(v.five_sigma):
         return f"{v.parameter}: no size is enough"
-    return f"{v.parameter} = {_short(v.five_sigma)} {_unit(v.unit)}".rstrip()
+    return f"{v.parameter} = {_short(v.five_sigma)} {unit_text(v.unit)}".rstrip()
 
 
 def _short(x: float) -> str:
@@ -303,9 +304,9 @@ def _short(x: float) -> str:
     return f"{x:.3g}" if not 1e3 <= abs(x) < 1e5 else f"{x:.0f}"
 
 
-def limit_rows(limits: Mapping[str, Limit], element: Mapping[str, str]) -> list[str]:
-    """Two limits to a line, in the order given."""
-    cells = [f"{name:<22}{_limit(v)}" for name, v in limits.items()]
+def limit_rows(limits: Mapping[str, Limit]) -> list[str]:
+    """Two limits to a line, in the order given; keys are ``effect`` or ``effect.parameter``."""
+    cells = [f"{name.split('.')[0]:<22}{size_text(v)}" for name, v in limits.items()]
     half = (len(cells) + 1) // 2
     right = [*cells[half:], ""]
     return [f"  {a:<48}{b}".rstrip() for a, b in zip(cells[:half], right, strict=False)]

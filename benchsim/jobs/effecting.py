@@ -1,0 +1,239 @@
+"""``benchsim effects``: the catalogue, and which of it a recording could detect and tell apart, before any data."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchsim.bench.files import read, sources
+from benchsim.bench.model import Recording
+from benchsim.bench.writing import write_text
+from benchsim.diagnosis.classes import CLOSE, Space, separation, space
+from benchsim.diagnosis.limits import SIGMAS, limits
+from benchsim.diagnosis.linear import linearise
+from benchsim.diagnosis.problem import Effect, Problem
+from benchsim.diagnosis.result import Limit
+from benchsim.instruments.bench import effects as bench_effects
+from benchsim.jobs.output import output_folder
+from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.workers import workers
+from benchsim.report import effects_text
+
+
+@dataclass(frozen=True)
+class CatalogueResult:
+    """The catalogue as it stands."""
+
+    entries: tuple[bench_effects.Entry, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``--json``."""
+        return {
+            "format": "benchsim-effects/1",
+            "effects": [
+                {
+                    "name": e.name,
+                    "element": e.element,
+                    "parameters": {
+                        t.name: {"unit": t.unit, "cap": t.cap, "one_sided": t.one_sided, "shape": bool(t.grid)}
+                        for t in e.terms
+                    },
+                    "says": e.says,
+                    "remedy": e.remedy,
+                    "source": e.source,
+                    "synonyms": list(e.synonyms),
+                }
+                for e in self.entries
+            ],
+        }
+
+    def summary(self) -> str:
+        """The catalogue by element, in the order of the light."""
+        rows = [
+            effects_text.Row(
+                e.name,
+                e.element,
+                tuple((t.name, t.unit, t.cap, t.one_sided, bool(t.grid)) for t in e.terms),
+                e.says,
+                e.synonyms,
+            )
+            for e in sorted(self.entries, key=lambda e: bench_effects.ELEMENTS.index(e.element))
+        ]
+        return effects_text.catalogue(rows)
+
+
+@dataclass(frozen=True)
+class IsolabilityResult:
+    """What a set of settings and observables could show.
+
+    Attributes
+    ----------
+    recording : Recording
+    against : str
+    observables : tuple of str
+        Kinds of data.
+    limits : mapping
+        As in ``diagnosis.json``.
+    at_cap : mapping of str to float
+        By effect: its signal in sigma at its cap, setting errors and other nuisances marginalised; of several
+        parameters that which is hardest to see.
+    separation : mapping of (str, str) to float
+        How far, in sigma, the first at its cap is from the nearest that the second can produce within its own; of
+        several parameters that which is hardest to tell.
+    """
+
+    recording: Recording
+    against: str
+    observables: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    limits: Mapping[str, Limit]
+    at_cap: Mapping[str, float]
+    separation: Mapping[tuple[str, str], float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``--json``."""
+        return {
+            "format": "benchsim-isolability/1",
+            "against": self.against,
+            "observables": list(self.observables),
+            "limits": {
+                k: {
+                    "parameter": v.parameter,
+                    "five_sigma": v.five_sigma if np.isfinite(v.five_sigma) else None,
+                    "unit": v.unit,
+                    "reachable": v.reachable,
+                }
+                for k, v in self.limits.items()
+            },
+            "at_cap_sigma": dict(self.at_cap),
+            "separation_sigma": {
+                a.name: {b.name: self.separation[a.name, b.name] for b in self.effects if b is not a}
+                for a in self.effects
+            },
+            "defaults_used": list(self.recording.defaults_used),
+        }
+
+    def summary(self) -> str:
+        """Limits, rivals, and the pairs that cannot be told apart."""
+        r = self.recording
+        return effects_text.isolability(
+            effects_text.Plan(
+                title=r.title or r.folder.name,
+                exposures=len(r.exposures),
+                settings=len({e.setting for e in r.exposures}),
+                against=self.against,
+                observables=self.observables,
+                effects=tuple((e.name, e.element) for e in self.effects),
+                limits=self.limits,
+                at_cap=self.at_cap,
+                separation=self.separation,
+                seen_at=SIGMAS,
+                close=CLOSE,
+                defaults=r.defaults_used,
+            )
+        )
+
+
+def effects(
+    recording: Path | str | None = None,
+    output: Path | str | None = None,
+    *,
+    against: str = "bench",
+    progress: Progress = silent,
+) -> CatalogueResult | IsolabilityResult:
+    """The catalogue of effects; or, for a recording or bench file, which of them it could show, before any data.
+
+    Parameters
+    ----------
+    recording : path, optional
+        Recording folder or file, or a bench file; its photographs are not looked at.
+    output : path, optional
+        Folder for ``effects.json`` and ``effects.txt``; default: nothing is written.
+    against : {"bench", "vector"}
+        The simulation in doubt.
+    progress : callable
+        Called with what is being done and the fraction done.
+
+    Returns
+    -------
+    CatalogueResult or IsolabilityResult
+
+    Raises
+    ------
+    BenchsimError
+        If the recording or the folder cannot be used.
+    """
+    if recording is None:
+        return _written(CatalogueResult(bench_effects.CATALOGUE), output, [Path(bench_effects.__file__)])
+    read_in = read(Path(recording), images=False)
+    bench_effects.check(read_in)
+    return _written(isolability(read_in, against, progress), output, sources(read_in)[:2])
+
+
+def _written(result: Any, output: Path | str | None, inputs: list[Path]) -> Any:
+    if output is not None:
+        with output_folder(Path(output), "effects", inputs) as staging:
+            write_text(staging / "effects.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
+            write_text(staging / "effects.txt", result.summary() + "\n")
+    return result
+
+
+def isolability(recording: Recording, against: str = "bench", progress: Progress = silent) -> IsolabilityResult:
+    """Limits and separations on simulated observables, linear about the simulation in doubt.
+
+    Single effects against single effects; shape parameters at the middle of their range. The settings' errors are as
+    large as stated.
+    """
+    from benchsim.instruments.bench import observables
+    from benchsim.instruments.bench.problem import build
+
+    progress("simulating what would be seen", 0.05)
+    problem = build(recording, observables.simulate(recording), against=against)
+    with workers() as pool:
+        problem = replace(problem, spread=pool.spread)
+        progress("asking what every effect would do", 0.2)
+        within, names = _space(problem)
+    progress("comparing", 0.95)
+    found, apart, at_cap = limits(problem, within, names), {}, {}
+    for a in problem.catalogue:
+        signals = _signals(within, a, names)
+        at_cap[a.name] = min((float(np.sqrt(max(0.0, s @ within.gram @ s))) for s in signals), default=0.0)
+        for b in problem.catalogue:
+            if b is not a:
+                apart[a.name, b.name] = min((separation(within, s, (b.name,)) for s in signals), default=0.0)
+    kinds = tuple(k for k, _ in groupby(sorted(problem.kind.tolist(), key=_kind_order(problem))))
+    return IsolabilityResult(recording, against, kinds, problem.catalogue, found, at_cap, apart)
+
+
+def _kind_order(problem: Problem) -> Callable[[str], int]:
+    order = {k: i for i, k in reversed(list(enumerate(problem.kind.tolist())))}
+    return order.__getitem__
+
+
+def _space(problem: Problem) -> tuple[Space, tuple[str, ...]]:
+    amplitudes = tuple(p for e in problem.catalogue for p in e.parameters if not p.grid)
+    middle = {p.name: float(np.median(p.grid)) for e in problem.catalogue for p in e.parameters if p.grid}
+    linear = linearise(problem, middle, amplitudes)
+    return space(problem, linear, 1.0), linear.names
+
+
+def _signals(within: Space, effect: Effect, names: tuple[str, ...]) -> list[np.ndarray]:
+    """Amplitude vectors of an effect: each parameter alone at its cap; of a random field all at half of it."""
+    own = [p for p in effect.parameters if p.name in names]
+    out = []
+    if effect.random_field:
+        signal = np.zeros(len(names))
+        for k, p in enumerate(own):
+            signal[names.index(p.name)] = p.sigma * (-1.0) ** k
+        return [signal]
+    for p in own:
+        signal = np.zeros(len(names))
+        signal[names.index(p.name)] = (2 * p.sigma) ** p.power
+        out.append(signal)
+    return out

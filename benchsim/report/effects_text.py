@@ -1,0 +1,130 @@
+"""The catalogue and the isolability of a plan as tables that fit a terminal of 100 columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from math import isfinite
+from textwrap import fill
+
+from benchsim.diagnosis.result import Limit
+from benchsim.report.diagnosis_text import KINDS, SIMULATION, WIDTH, number, size_text, unit_text
+
+
+@dataclass(frozen=True)
+class Row:
+    """An effect of the catalogue; parameters as (name, unit, cap, one-sided, shape)."""
+
+    name: str
+    element: str
+    parameters: tuple[tuple[str, str, float, bool, bool], ...]
+    says: str
+    synonyms: tuple[str, ...]
+
+
+def catalogue(rows: Sequence[Row]) -> str:
+    """Effects by element: parameters with units and plausible range, one sentence of physics."""
+    lines = [
+        "In a file: [effects.NAME] with the parameters below; on the command line: --effect NAME.PARAMETER=VALUE.",
+        "The ranges are what is plausible; diagnosis gives each amplitude a prior of half of it.",
+    ]
+    for element, group in groupby(rows, key=lambda r: r.element):
+        lines += ["", element.upper()]
+        for r in group:
+            first, *more = _parameters(r)
+            lines.append(f"  {r.name:<22}{first}")
+            lines += [f"  {'':<22}{text}" for text in more]
+            says = r.says + (f" Counts as the same: {', '.join(r.synonyms)}." if r.synonyms else "")
+            lines.append(fill(says, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6))
+    return "\n".join(lines)
+
+
+def _parameters(r: Row) -> list[str]:
+    """Parameters in lines of what fits beside the name."""
+    words = []
+    for name, unit, cap, one_sided, shape in r.parameters:
+        start = "0 … " if one_sided else "±"
+        words.append(f"{name} {start}{cap:g} {unit_text(unit)}".rstrip() + (" (shape)" if shape else ""))
+    return fill(", ".join(words), WIDTH - 24, break_long_words=False).split("\n")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What `isolability` prints; see ``jobs.effecting.IsolabilityResult``."""
+
+    title: str
+    exposures: int
+    settings: int
+    against: str
+    observables: tuple[str, ...]
+    effects: tuple[tuple[str, str], ...]
+    limits: Mapping[str, Limit]
+    at_cap: Mapping[str, float]
+    separation: Mapping[tuple[str, str], float]
+    seen_at: float
+    close: float
+    defaults: tuple[str, ...]
+
+
+def isolability(p: Plan) -> str:
+    """What could be seen, from which size on, and what could not be told apart."""
+    kinds = ", ".join(KINDS.get(k, (k, ""))[0] for k in p.observables)
+    head = (
+        f"{p.title}: {number(p.exposures, 'exposure')} of {number(p.settings, 'setting')}, against "
+        f"{SIMULATION.get(p.against, p.against)}. Observables: {kinds}. Computed before any data, the setting "
+        "errors as uncertain as stated."
+    )
+    lines = [fill(head, WIDTH), ""]
+    lines.append(
+        f"{'':<22}{f'seen at {p.seen_at:g} sigma from':<30}{'at its cap':>12}   hardest to tell from (at its cap)"
+    )
+    names = [name for name, _ in p.effects]
+    blind = [name for name in names if not _reachable(p, name)]
+    for element, group in groupby(p.effects, key=lambda e: e[1]):
+        lines.append(element.upper())
+        for name, _ in group:
+            if name in blind:
+                continue
+            rivals = sorted((p.separation[name, other], other) for other in names if other != name)
+            rival = f"{rivals[0][1]} ({_sigmas(rivals[0][0])})" if rivals else ""
+            limit = size_text(p.limits[name]) if name in p.limits else ""
+            lines.append(f"  {name:<22}{limit:<28}{_sigmas(p.at_cap[name]):>12}   {rival}")
+            for key, other in p.limits.items():
+                if key.startswith(f"{name}."):
+                    lines.append(f"  {'':<22}{size_text(other)}")
+    lines.append("")
+    if blind:
+        words = [f"{n} ({size_text(p.limits[n])} needed)" if n in p.limits else n for n in blind]
+        lines.append(_paragraph("Cannot be seen at any plausible size", words))
+    pairs = []
+    for i, a in enumerate(names):
+        for b in names[i + 1 :]:
+            if a in blind or b in blind:
+                continue
+            apart = min(p.separation[a, b], p.separation[b, a])
+            if apart < p.close:
+                pairs.append((apart, f"{a} / {b} ({_sigmas(apart)})"))
+    if pairs:
+        start = f"Cannot be told apart for sure: at a cap within {p.close:g} sigma of each other"
+        lines.append(_paragraph(start, [text for _, text in sorted(pairs)]))
+    else:
+        lines.append(f"Every two that can be seen are {p.close:g} sigma apart or more at their caps.")
+    if p.defaults:
+        lines.append(_paragraph("Defaults taken for what the file leaves out", p.defaults))
+    return "\n".join(lines)
+
+
+def _reachable(p: Plan, name: str) -> bool:
+    own = [v for k, v in p.limits.items() if k == name or k.startswith(f"{name}.")]
+    return any(v.reachable for v in own)
+
+
+def _paragraph(start: str, words: Sequence[str]) -> str:
+    return fill(f"{start}: {'; '.join(words)}.", WIDTH, subsequent_indent="  ", break_long_words=False)
+
+
+def _sigmas(x: float) -> str:
+    if not isfinite(x):
+        return "-"
+    return f"{x:.1f} sigma" if x < 20 else f"{x:.0f} sigma"
