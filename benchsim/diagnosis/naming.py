@@ -1,9 +1,9 @@
 """Weigh every explanation that the catalogue offers: noise, screening, refits, and the probability of each effect.
 
-The null is refitted first, and the whole catalogue differentiated once, about it. All singles and pairs are screened there;
-the most probable are refitted until no hypothesis that was only screened could still matter. What contains a refitted
-hypothesis is weighed again about *its* point: after a strong effect has been fitted, the second one is no longer hidden
-behind the curvature of the first. Larger sets grow from the best refitted pairs.
+The null is refitted first, and the whole catalogue differentiated once, about it. All singles and pairs are screened
+there; the most probable are refitted until no hypothesis that was only screened could still matter. What has one effect
+more or less than a refitted hypothesis is weighed again about *its* point: once a strong effect is fitted, the second is
+no longer hidden behind the curvature of the first. Larger sets grow that way from the best refitted pairs.
 """
 
 from __future__ import annotations
@@ -338,5 +338,5 @@ def _whole(context: Context, catalogue: Catalogue, null: Solved) -> Linear:
         node = catalogue.nodes[effect.name][_best_nodes(context, catalogue, h, null)[0][0]]
         names += [p.name for p in evidence.amplitudes(effect)]
         columns += node.columns
-    effect = context.whiten(catalogue.columns[:, columns])
-    return replace(null.fit.linear, effect=effect, names=tuple(names))
+    white = context.whiten(catalogue.columns[:, columns])
+    return replace(null.fit.linear, effect=white, names=tuple(names))

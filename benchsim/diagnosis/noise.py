@@ -9,10 +9,10 @@ of datum, what is smooth along a stretch, and what the nuisances and the catalog
 B being the stated covariance there and σᵢ² its white part. Hypotheses t = 0 and s = 1 carry half of the prior each, and
 scale and shared part are averaged over the posterior, so that clean data are left alone.
 
-**Splitting a stated covariance.** Its white part is what a datum does not share with its neighbours: C_ii less the value
-that C_ij, j ≠ i, extrapolates to at j = i. Only the white part is scaled, and where that is downward, only as much of it as
-can be taken from C. What is shared (a pose, the shape of a beam) is kept as stated: once smooth modes are projected out nothing of it is
-left to judge it by. Not for errors that blocks share: those are nuisances.
+**Splitting a stated covariance.** Its white part is what a datum does not share with its neighbours: C_ii less the
+value that C_ij, j ≠ i, extrapolates to at j = i. Only the white part is scaled, and where that is downward, only as much
+of it as can be taken from C. What is shared (a pose, the shape of a beam) is kept as stated: once smooth modes are
+projected out nothing of it is left to judge it by. Not for errors that blocks share: those are nuisances.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def removable(covariance: Array, white: Array) -> float:
 
 
 def _contrasts(whole: Array, position: Array, neighbours: bool) -> Array:
-    """Orthonormal contrasts free of smooth and visible modes, (n, m); ``whole`` (n, k) is in units of the white sigma."""
+    """Orthonormal contrasts free of smooth and visible modes, (n, m); ``whole`` (n, k) is in white sigmas."""
     n = len(position)
     if neighbours:
         span = 2 * (position - position.min()) / max(np.ptp(position), 1e-300) - 1

@@ -1,11 +1,11 @@
 """Fit one hypothesis until nothing moves, and weigh it there.
 
 Gauss-Newton on nuisances, own amplitudes (in fit space, value**power) and shape parameters together. The residual is
-always exact; a step is taken only if the exact objective falls (halved until it does). Derivatives by the hypothesis' own
-parameters are recomputed after every descent; those by the nuisances are taken over from the nearest point where they
-are known, *if* a central difference along a random combination of all of them, one posterior sigma each, agrees there;
-otherwise they are recomputed. A fit counts as converged when, with derivatives renewed, less than `STILL` could be gained,
-and when a second start ends nowhere better. An unconverged fit steals the name.
+always exact; a step is taken only if the exact objective falls (shortened until it does). Derivatives by the hypothesis'
+own parameters are recomputed after every descent; those by the nuisances are taken over from the nearest point where
+they are known, *if* a central difference along a random combination of all of them, one posterior sigma each, agrees
+there; otherwise they are recomputed. A fit counts as converged when, with derivatives renewed, less than `STILL` could
+be gained, and when a second start ends nowhere better. An unconverged fit steals the name.
 
 The evidence is Laplace's about that point, with the exact residual: everything Gaussian in closed form, amplitudes at a
 boundary integrated (`evidence`), setting scale and field sigma summed over their grids. A shape parameter's uniform
@@ -63,7 +63,7 @@ class Whitener:
 
 def whitener(problem: Problem, covariance: Sequence[Array]) -> Whitener:
     """Factorise once."""
-    lower = tuple(np.linalg.cholesky(c) for c in covariance)
+    lower = tuple(np.asarray(np.linalg.cholesky(c), float) for c in covariance)
     return Whitener(problem, lower, float(2 * sum(np.log(np.diag(low)).sum() for low in lower)))
 
 
@@ -78,7 +78,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Known:
-    """Derivatives by the nuisances per prior sigma (n, p), not whitened, with the hypothesis about whose fit they are."""
+    """Derivatives by the nuisances per prior sigma (n, p), not whitened, and about which fit they are."""
 
     columns: Array
     effects: Effects
@@ -311,7 +311,7 @@ def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: 
     problem = context.problem
     nuisances = problem.nuisances
     p = len(nuisances)
-    if not p or np.array_equal(theta[:p], known.nuisance) and h.names == known.effects:
+    if not p or (np.array_equal(theta[:p], known.nuisance) and h.names == known.effects):
         return known
     at = values(problem, h, _point(theta, p, len(h.amplitudes)))
     white = context.whiten(known.columns)
@@ -403,14 +403,14 @@ def fit(
     def columns_at(theta: Array) -> Array:
         return context.columns(values(problem, h, _point(theta, p, k)), parameters)
 
-    def chosen(theta: Array, residual: Array) -> tuple[int, int]:
+    def chosen(theta: Array, residual: Array, known: Known, own: Array) -> tuple[int, int]:
         lin = about(context, h, _point(theta, p, k), residual, known, own)
         return _choose(_log_cells(context, lin, np.column_stack([lin.effect, context.whiten(own[:, k:])]), terms))
 
     theta = _theta(starts[0])
     own = columns_at(theta) if own is None else own
     residual = problem.data - context.predict(values(problem, h, starts[0]))
-    hyper = chosen(theta, residual)
+    hyper = chosen(theta, residual, known, own)
     prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
     state = _begin(context, h, prior, starts[0])
     converged, checked = False, 0
@@ -419,7 +419,7 @@ def fit(
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
         known = _fresh(context, h, state.theta, known, s)
         own = columns_at(state.theta)
-        hyper_now = chosen(state.theta, state.residual)
+        hyper_now = chosen(state.theta, state.residual, known, own)
         moved = hyper_now != hyper
         if moved:
             hyper = hyper_now
@@ -459,8 +459,7 @@ def _solved(
     lin = about(context, h, point, state.residual, known, own)
     columns = np.column_stack([lin.effect, context.whiten(own[:, k:])])
     cells = _log_cells(context, lin, columns, terms)
-    mean, covariance = _posterior(context, h, lin, columns, cells, terms)
-    del mean
+    covariance = _posterior(context, h, lin, columns, cells, terms)
     at = values(problem, h, point)
     sd = np.sqrt(np.diag(covariance))
     sigma = {n.name: float(s * n.sigma) for n, s in zip(problem.nuisances, sd, strict=False)}
@@ -491,8 +490,8 @@ def _solved(
 
 def _posterior(
     context: Context, h: Hypothesis, lin: Linear, columns: Array, cells: Array, terms: Sequence[Term]
-) -> tuple[Array, Array]:
-    """Mean and covariance of nuisances, amplitudes (fit space) and shapes about the point, hyper-parameters mixed in."""
+) -> Array:
+    """Covariance of nuisances, amplitudes (fit space) and shapes, hyper-parameters mixed in."""
     weights = np.exp(cells - logsumexp(cells))
     both = np.column_stack([lin.nuisance, columns])
     square, projected = both.T @ both, both.T @ lin.residual
@@ -515,4 +514,4 @@ def _posterior(
     w = np.array(kept) / sum(kept)
     mean = np.einsum("i,ij->j", w, np.array(means))
     away = np.array(means) - mean
-    return mean, np.einsum("i,ijk->jk", w, np.array(covariances)) + np.einsum("i,ij,ik->jk", w, away, away)
+    return np.einsum("i,ijk->jk", w, np.array(covariances)) + np.einsum("i,ij,ik->jk", w, away, away)
