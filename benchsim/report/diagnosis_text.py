@@ -14,8 +14,8 @@ WIDTH = 100
 
 KINDS: Mapping[str, tuple[str, str]] = {
     "c": ("centre line", "mm"),
-    "w": ("width", "mm"),
-    "f": ("flux along the trace", ""),
+    "w": ("width squared", "mm²"),
+    "f": ("logarithm of the flux", ""),
     "m": ("marks", "px"),
 }
 """Observables in words, and the unit of their residuals; a kind that is not here is called by its own name."""

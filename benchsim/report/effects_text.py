@@ -26,7 +26,7 @@ class Row:
 def catalogue(rows: Sequence[Row]) -> str:
     """Effects by element: parameters with units and plausible range, one sentence of physics."""
     lines = [
-        "In a file: [effects.NAME] with the parameters below; on the command line: --effect NAME.PARAMETER=VALUE.",
+        "In a file: [effects.NAME] with these parameters; with `render`: --effect NAME.PARAMETER=VALUE.",
         "The ranges are what is plausible; diagnosis gives each amplitude a prior of half of it.",
     ]
     for element, group in groupby(rows, key=lambda r: r.element):
@@ -46,7 +46,13 @@ def _parameters(r: Row) -> list[str]:
     for name, unit, cap, one_sided, shape in r.parameters:
         start = "0 … " if one_sided else "±"
         words.append(f"{name} {start}{cap:g} {unit_text(unit)}".rstrip() + (" (shape)" if shape else ""))
-    return fill(", ".join(words), WIDTH - 24, break_long_words=False).split("\n")
+    lines = [""]
+    for i, word in enumerate(words):
+        word += "," if i < len(words) - 1 else ""
+        if lines[-1] and len(lines[-1]) + 1 + len(word) > WIDTH - 24:
+            lines.append("")
+        lines[-1] += f" {word}" if lines[-1] else word
+    return lines
 
 
 @dataclass(frozen=True)

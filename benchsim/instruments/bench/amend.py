@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,7 +22,7 @@ Array = NDArray[np.float64]
 def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recording:
     """The recording with what was found in its ``[effects]``, and a law in its ``[fields]``.
 
-    Amplitudes are added to what the file has (to its square where the light responds to the square), shapes replace it.
+    Amplitudes are added to what the file has, shapes replace it, as `prediction.Predict.truth` has them.
     Of a class the most probable member is put in. Against "vector" the file's ``[physics]`` are all false, as the
     simulation in doubt had them, and its switches appear as effects with the amplitude that was found.
 
@@ -62,8 +61,6 @@ def combined(name: str, old: Mapping[str, float], found: Mapping[str, float], fa
         term = known[key]
         if term.grid or key not in old:
             out[key] = value
-        elif term.power > 1:
-            out[key] = math.hypot(old[key], value)
         else:
             out[key] = old[key] + value
         if term.one_sided:

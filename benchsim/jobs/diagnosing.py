@@ -1,0 +1,246 @@
+"""``benchsim diagnose``: what the simulation lacks, where, how large, and what to do; or what would have been seen."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchsim import diagnosis, trace
+from benchsim.bench.files import read, sources
+from benchsim.bench.model import Exposure, Recording
+from benchsim.bench.writing import write_text
+from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.result import Diagnosis
+from benchsim.instruments.bench import amend, effects, observables
+from benchsim.instruments.bench import problem as bench_problem
+from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.workers import Workers, workers
+from benchsim.report import diagnosis_pictures as pictures
+from benchsim.report.diagnosis_text import About, summary
+
+MOST_LOCATED = 4
+"""Photographs in which stretches are drawn: those of the most significant."""
+
+
+@dataclass(frozen=True)
+class DiagnosisResult:
+    """A finished diagnosis and what it rests on.
+
+    Attributes
+    ----------
+    recording : Recording
+    amended : Recording
+        With what was found.
+    diagnosis : Diagnosis
+    problem : Problem
+    lost : tuple of str
+        One sentence for each exposure that was dropped.
+    remarks : tuple of str
+        One sentence for each thing about the recording that limits what can be told.
+    against : {"bench", "vector"}
+    folder : Path
+    """
+
+    recording: Recording
+    amended: Recording
+    diagnosis: Diagnosis
+    problem: Problem
+    lost: tuple[str, ...]
+    remarks: tuple[str, ...]
+    against: str
+    folder: Path
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``diagnosis.json``."""
+        return {
+            **self.diagnosis.as_dict(),
+            "against": self.against,
+            "lost": list(self.lost),
+            "remarks": list(self.remarks),
+            "defaults_used": list(self.recording.defaults_used),
+        }
+
+    def text(self) -> str:
+        """Plain sentences for ``summary.txt``."""
+        r = self.recording
+        put = amend.put_in(r, self.amended)
+        sentence = "amended.toml holds the recording's file with what was found put in"
+        return summary(
+            self.diagnosis,
+            About(
+                title=r.title or r.folder.resolve().name,
+                exposures=len(self.problem.names),
+                settings=len(set(self.problem.groups)),
+                against=self.against,
+                catalogue=self.problem.catalogue,
+                lost=self.lost,
+                remarks=self.remarks,
+                defaults=r.defaults_used,
+                amended=f"{sentence}: {', '.join(put)}." if put else "",
+            ),
+        )
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        return f"{self.text()}\n\nwritten: {self.folder}/"
+
+
+def diagnose(
+    recording: Path | str,
+    output: Path | str | None = None,
+    *,
+    against: str = "bench",
+    pictures: bool = True,
+    progress: Progress = silent,
+) -> DiagnosisResult:
+    """Say what a simulation lacks, from settings and photographs alone.
+
+    ``diagnosis.json``, ``summary.txt`` and ``amended.toml`` lie in the folder, whole, before the pictures are begun;
+    each picture is put beside them as it is finished.
+
+    Parameters
+    ----------
+    recording : path
+        Recording folder or file.
+    output : path, optional
+        Default ``./NAME-diagnose/``.
+    against : {"bench", "vector"}
+        The simulation in doubt: the bench as the file states it, or the paper's vector model.
+    pictures : bool
+        Whether to draw.
+    progress : callable
+        Called with what is being done and the fraction done.
+
+    Returns
+    -------
+    DiagnosisResult
+
+    Raises
+    ------
+    BenchsimError
+        If the recording or the folder cannot be used, or no exposure gives a trace.
+    """
+    source = Path(recording)
+    folder = Path(output) if output is not None else default_folder(source, "diagnose")
+    checked = read(source, images=True)
+    effects.check(checked)
+    effects.simulated(checked, against)
+    options = {"against": against, "pictures": pictures}
+    with workers() as pool:
+        with output_folder(folder, "diagnose", sources(checked), options, checked.defaults_used) as staging:
+            result = diagnose_recording(checked, folder, against=against, pool=pool, progress=progress)
+            write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
+            write_text(staging / "summary.txt", result.text() + "\n")
+            amend.write_amended(result.amended, staging / "amended.toml", folder)
+        if pictures:
+            draw(result, folder, pool, progress)
+    progress("done", 1.0)
+    return result
+
+
+def diagnose_recording(
+    recording: Recording, folder: Path, *, against: str = "bench", pool: Workers, progress: Progress = silent
+) -> DiagnosisResult:
+    """Diagnose a recording that was read; writes nothing."""
+    progress("reading the photographs", 0.0)
+    observed, lost = observables.observe(recording, spread=pool.each)
+    progress("building the problem", 0.3)
+    problem = replace(bench_problem.build(recording, observed, against=against), spread=pool.spread)
+    found = diagnosis.diagnose(problem, lambda what, done: progress(what, 0.35 + 0.4 * done))
+    said = tuple(note for o in observed for note in o.notes)
+    return DiagnosisResult(
+        recording=recording,
+        amended=amend.amended(recording, found, against),
+        diagnosis=found,
+        problem=problem,
+        lost=lost,
+        remarks=(*remarks(recording, observed), *said),
+        against=against,
+        folder=folder,
+    )
+
+
+def remarks(recording: Recording, observed: Sequence[observables.Observed]) -> tuple[str, ...]:
+    """What about a recording limits what can be told, one sentence each."""
+    exposures = [recording.exposures[o.index] for o in observed]
+    out = []
+    if len(exposures) == 1:
+        out.append(
+            "One exposure alone: almost everything that could be missing looks like a setting error there, so that "
+            "only what marks, width or flux show can be named; take more settings."
+        )
+    else:
+        placed = {(e.laser_azimuth, e.laser_elevation, e.mirror_position) for e in exposures}
+        boards = {(e.screen_shift, e.screen_roll) for e in exposures}
+        if len(placed) == 1 and len(boards) == 1:
+            out.append(
+                "All settings are equal: what is constant from exposure to exposure cannot be told from their common "
+                "setting errors; move the laser or the mirror."
+            )
+        elif len({e.setting for e in exposures}) == 1:
+            out.append("All exposures are of one setting, whose errors they share; take more settings.")
+    if recording.screen.marks is not None:
+        whole = len(recording.screen.marks.ids)
+        few = [(o.name, len(o.marks)) for o in observed if len(o.marks) < 0.8 * whole]
+        if few:
+            words = ", ".join(f"{name} ({count} of {whole})" for name, count in few)
+            out.append(f"Marks are missing in {words}: the camera's pose and lens are known less well there.")
+    blind = sorted({e.camera for e in exposures if recording.cameras[e.camera].gamma == "unknown"})
+    if blind:
+        out.append(f"The gamma of camera {', '.join(blind)} is not known, so that its flux and width are not used.")
+    return tuple(out)
+
+
+def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progress = silent) -> None:
+    """Draw a diagnosis into the folder that holds it."""
+    d, problem = result.diagnosis, result.problem
+    title = result.recording.title or result.recording.folder.resolve().name
+    progress("drawing", 0.78)
+    pictures.residuals(folder, problem, d, title)
+    pictures.observables(folder / "observables.png", problem, d, title)
+    pictures.probability(folder / "probability.png", d, problem.catalogue, title)
+    _draw_located(result, folder, pool, title)
+
+
+def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: str) -> None:
+    """The stretches of the most significant exposures over their photographs."""
+    where = result.diagnosis.location
+    if where is None or not where.along_trace:
+        return
+    strongest: dict[str, float] = {}
+    for s in where.along_trace:
+        strongest[s.exposure] = max(s.z, strongest.get(s.exposure, 0.0))
+    names = sorted(strongest, key=lambda n: -strongest[n])[:MOST_LOCATED]
+    exposures = [e for e in result.recording.exposures if e.name in names]
+    for exposure, found in zip(exposures, pool.each(_Extract(result.recording), exposures), strict=True):
+        assert exposure.image is not None
+        light = trace.read_image(
+            result.recording.folder / exposure.image, result.recording.cameras[exposure.camera]
+        ).light
+        ridge = pictures.Ridge(
+            exposure.name, np.asarray(light, float), found.s_mm, np.column_stack([found.u_px, found.v_px])
+        )
+        pictures.located(
+            folder / f"located-{Path(exposure.image).stem}.png",
+            ridge,
+            [s for s in where.along_trace if s.exposure == exposure.name],
+            result.problem,
+            result.diagnosis,
+            f"{title}: where the misfit lies in {exposure.name}; by the sum of all, in the {where.element}",
+        )
+
+
+@dataclass(frozen=True)
+class _Extract:
+    """The main ridge of an exposure, in a worker."""
+
+    recording: Recording
+
+    def __call__(self, exposure: Exposure) -> trace.Trace:
+        return trace.only_ridge(trace.extract(self.recording, exposure), 0)
