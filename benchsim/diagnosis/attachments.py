@@ -1,15 +1,15 @@
 """Unknown functions that compete with the names: one Gaussian process per attachment, weighed by its evidence.
 
-An attachment adds B c to the prediction, c ~ N(0, a² R(ℓ)), R_ij = exp(−½ |k_i − k_j|²/ℓ²) for knots of one component.
-In the marginal space of `linear` (nuisances integrated, products through M⁻¹) with R = L Lᵀ, W = Lᵀ Bᵀ M⁻¹ B L = V diag(w) Vᵀ
-and u = Vᵀ Lᵀ Bᵀ M⁻¹ r, its gain in ln Z over the hypothesis it is laid on is
+An attachment adds B c to the prediction, c ~ N(0, a² R(ℓ)), R_ij = exp(−½ |k_i − k_j|²/ℓ²) for knots of one
+component. In the marginal space of `linear` (nuisances integrated, products through M⁻¹) with R = L Lᵀ, W = Lᵀ Bᵀ M⁻¹
+B L = V diag(w) Vᵀ and u = Vᵀ Lᵀ Bᵀ M⁻¹ r, its gain in ln Z over the hypothesis it is laid on is
 
     −½ Σ ln(1 + a² w) + ½ Σ a² u² / (1 + a² w) ,
 
 one eigen-decomposition for all amplitudes. The rms a is integrated with a uniform prior up to the attachment's
-``sigma``: a prior uniform in ln a would spare the function the price that a named amplitude pays for its cap, and every true
-name would lose to its own element's function. The length is integrated over the attachment's list. An attachment is
-present with the prior probability of one catalogue effect, shared among all attachments.
+``sigma``: a prior uniform in ln a would spare the function the price that a named amplitude pays for its cap, and
+every true name would lose to its own element's function. The length is integrated over the attachment's list. An
+attachment is present with the prior probability of one catalogue effect, shared among all attachments.
 
 Not to be used where the prediction bends over the size of what is sought: the basis is taken at one point.
 """

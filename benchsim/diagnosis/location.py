@@ -1,19 +1,20 @@
 """Where: in which element of the path, and along which stretch of which line.
 
 An element is claimed where its best explanation, a free function in the element's own coordinate or names of that
-element alone, beats that of every other element by `CLAIM` in ln Z and leaves nothing (`remainder`). Stretches are scanned with
-every window of a line's data as matched filter: z = ⟨w, r⟩ / √⟨w, w⟩ in the space where the nuisances are integrated, which
-is N(0, 1) exactly where nothing is missing; the family-wise rate over all windows is held by Bonferroni's bound.
+element alone, beats that of every other element by `CLAIM` in ln Z and leaves nothing (`remainder`). Stretches are
+scanned with every window of a line's data as matched filter: z = ⟨w, r⟩ / √⟨w, w⟩ in the space where the nuisances
+are integrated, which is N(0, 1) exactly where nothing is missing; the family-wise rate over all windows is held by
+Bonferroni's bound.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.stats import norm
 
 from benchsim.diagnosis.linear import Linear
@@ -90,7 +91,7 @@ def scan(problem: Problem, linear: Linear, covariance: tuple[Array, ...], scale:
         filters = np.zeros((rows.stop - rows.start, len(mine)))
         for k, (_, members) in enumerate(mine):
             filters[members - rows.start, k] = 1.0
-        white, _ = whiten_block(covariance[b], filters)
+        white = solve_triangular(np.linalg.cholesky(covariance[b]), filters, lower=True)
         cross = linear.nuisance[rows].T @ white
         variance = (white**2).sum(axis=0) - np.einsum("ij,ij->j", cross, cho_solve(factor, cross))
         # A window that the nuisances take up altogether says nothing.
@@ -113,13 +114,6 @@ def scan(problem: Problem, linear: Linear, covariance: tuple[Array, ...], scale:
         corrected = float(norm.isf(chance[k] / 2)) if chance[k] > 0 else _large(float(abs(z[k])), len(windows))
         found.append(Stretch(problem.names[b], float(where.min()), float(where.max()), corrected))
     return tuple(found)
-
-
-def whiten_block(covariance: Array, columns: Array) -> tuple[Array, Array]:
-    """L⁻¹ columns and L of one block."""
-    lower = np.linalg.cholesky(covariance)
-    white: Array = np.linalg.solve(lower, columns)
-    return white, lower
 
 
 def _large(z: float, windows: int) -> float:
@@ -145,8 +139,3 @@ def _windows(problem: Problem) -> list[tuple[int, NDArray[np.intp]]]:
                         out.append((b, members[start : start + length]))
                     length *= 2
     return out
-
-
-def elements(problem: Problem) -> Mapping[str, str]:
-    """Element of every effect of the catalogue."""
-    return {e.name: e.element for e in problem.catalogue}

@@ -1,0 +1,272 @@
+"""Which hypotheses the data cannot tell apart, and what may be claimed of them.
+
+Two hypotheses are as far apart as what is left of the one's signal once the other's amplitudes, within their caps,
+and the nuisances are refitted to it, in the noise: a whitened norm in sigma. All of it follows from the Gram matrix
+of the whole catalogue in the marginal space of `linear`. No method names right more often than Φ(d/2) at distance d,
+so nothing closer than `CLOSE` is told apart, however probable it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from benchsim.diagnosis.fits import Effects, Fit, Naming
+from benchsim.diagnosis.linear import Linear, marginal
+from benchsim.diagnosis.problem import Parameter, Problem
+
+Array = NDArray[np.float64]
+
+CLOSE = 3.0
+"""Separation in sigma below which hypotheses form a class."""
+
+SURE, LIKELY = 0.99, 0.9
+"""Probabilities at which an effect is named, and is probable."""
+
+MEMBERS = 4
+"""Most members of a class."""
+
+
+@dataclass(frozen=True)
+class Space:
+    """The catalogue's amplitudes as vectors, in units of value**power, with the metric of the data.
+
+    Attributes
+    ----------
+    gram : (k, k)
+        In the marginal space: aᵀ G a is the squared SNR of amplitudes a.
+    projection : (k,)
+        Of the residual.
+    sigma, low, high : (k,)
+        Prior sigma and the bounds that cap and sign set.
+    index : mapping of str to (m,) int
+        Places of every effect's amplitudes.
+    """
+
+    gram: Array
+    projection: Array
+    sigma: Array
+    low: Array
+    high: Array
+    index: Mapping[str, NDArray[np.intp]]
+
+    def places(self, effects: Iterable[str]) -> NDArray[np.intp]:
+        """Places of a hypothesis' amplitudes."""
+        parts = [self.index[e] for e in effects]
+        return np.concatenate(parts) if parts else np.zeros(0, np.intp)
+
+
+def bounds(parameter: Parameter) -> tuple[float, float]:
+    """Smallest and largest value**power within the cap, which is twice the prior sigma."""
+    cap = (2 * parameter.sigma) ** parameter.power
+    return (0.0 if parameter.one_sided or parameter.power > 1 else -cap), cap
+
+
+def space(problem: Problem, linear: Linear, scale: float, keep: NDArray[np.bool_] | None = None) -> Space:
+    """The space of a linearisation that holds the whole catalogue's amplitudes."""
+    m = marginal(linear, linear.effect, scale, keep)
+    known = {p.name: p for e in problem.catalogue for p in e.parameters}
+    many = [known[n] for n in linear.names]
+    place = {n: i for i, n in enumerate(linear.names)}
+    index = {
+        e.name: np.array([place[p.name] for p in e.parameters if p.name in place], np.intp) for e in problem.catalogue
+    }
+    limits = np.array([bounds(p) for p in many]).reshape(-1, 2)
+    sigma = np.array([p.sigma**p.power for p in many])
+    return Space(m.gram, m.projection, sigma, limits[:, 0], limits[:, 1], index)
+
+
+def about(naming: Naming, fit: Fit) -> Linear:
+    """The whole catalogue's columns, those of a fit's own effects and of the nuisances taken about the fit.
+
+    The other columns stay where `Naming.linear` has them, at the null: they are wanted for rivals, to first order.
+    """
+    columns = naming.linear.effect.copy()
+    for k, name in enumerate(fit.linear.names):
+        if name in naming.linear.names:
+            columns[:, naming.linear.names.index(name)] = fit.linear.effect[:, k]
+    return replace(fit.linear, effect=columns, names=naming.linear.names)
+
+
+def amplitude_vector(problem: Problem, names: Sequence[str], fit: Fit) -> Array:
+    """The fit's amplitudes, value**power, at the places of ``names``; 0 elsewhere."""
+    own = {p.name: p for e in problem.catalogue if e.name in fit.effects for p in e.parameters}
+    return np.array([fit.values.get(n, 0.0) ** own[n].power if n in own else 0.0 for n in names])
+
+
+def estimate(within: Space, effects: Effects) -> Array:
+    """Most probable amplitudes of a hypothesis by linear algebra, within bounds, 0 elsewhere."""
+    places = within.places(effects)
+    inner = within.gram[np.ix_(places, places)] + np.diag(within.sigma[places] ** -2.0)
+    out = np.zeros(len(within.sigma))
+    out[places], _ = _bounded(inner, within.projection[places], within.low[places], within.high[places])
+    return out
+
+
+def separation(within: Space, signal: Array, rival: Effects, gram: Array | None = None) -> float:
+    """Distance in sigma of a signal from the nearest that a rival can produce.
+
+    Parameters
+    ----------
+    within : Space
+    signal : (k,)
+        Amplitudes, value**power.
+    rival : Effects
+    gram : (k, k), optional
+        Another metric, for instance with a further recording; default the data's.
+    """
+    g = within.gram if gram is None else gram
+    places = within.places(rival)
+    whole = float(signal @ g @ signal)
+    if not len(places):
+        return float(np.sqrt(max(0.0, whole)))
+    inner, cross = g[np.ix_(places, places)], g[places] @ signal
+    _, gain = _bounded(inner, cross, within.low[places], within.high[places])
+    return float(np.sqrt(max(0.0, whole - gain)))
+
+
+def _bounded(inner: Array, cross: Array, low: Array, high: Array) -> tuple[Array, float]:
+    """Largest of 2 xᵀc − xᵀ G x within bounds: where, and how much."""
+    unit = np.sqrt(np.clip(np.diag(inner), 1e-300, None))
+    values, vectors = np.linalg.eigh(inner / np.outer(unit, unit))
+    keep = values > 1e-10 * values[-1]
+    root = vectors[:, keep] * np.sqrt(values[keep])
+    target = (vectors[:, keep].T @ (cross / unit)) / np.sqrt(values[keep])
+    x = (vectors[:, keep] / np.sqrt(values[keep])) @ target / unit
+    if np.any(x < low) or np.any(x > high):
+        x = lsq_linear(root.T * unit, target, bounds=(low, high), method="bvls" if len(x) < 20 else "trf").x
+    return x, float(2 * x @ cross - x @ inner @ x)
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Every hypothesis of the catalogue with its ln Z: of the refit where there is one, else the linear one."""
+
+    log_evidence: Mapping[Effects, float]
+
+    def probability(self, sets: Iterable[Effects]) -> float:
+        """That at least one of the sets is there, as a whole."""
+        wanted = [frozenset(s) for s in sets]
+        top = max(self.log_evidence.values())
+        z = {h: np.exp(v - top) for h, v in self.log_evidence.items()}
+        return float(sum(p for h, p in z.items() if any(w <= set(h) for w in wanted)) / sum(z.values()))
+
+
+def weighed(naming: Naming) -> Weighed:
+    """Gather the evidence; an unconverged fit is left out together with its linear value: nothing may rest on it."""
+    found = dict(naming.screened)
+    for fit in naming.fits:
+        found.pop(fit.effects, None)
+        if fit.converged:
+            found[fit.effects] = fit.log_evidence
+    found.setdefault((), naming.null.log_evidence)
+    return Weighed(found)
+
+
+def complete(hypotheses: Weighed, best: Effects, within: Space) -> Weighed:
+    """Put in what differs from a set by one effect, less or exchanged, where nobody weighed it.
+
+    Its ln Z is the set's, moved by the difference of the two in Gaussian integrals of the linearised problem. Needed
+    for sets of three and more: of those only the most probable were weighed.
+    """
+    z = dict(hypotheses.log_evidence)
+    order = list(within.index)
+    known = {frozenset(h) for h in z}
+    for e in best:
+        rest = _less(best, frozenset([e]))
+        for new in (None, *(n for n in order if n not in best)):
+            effects = tuple(n for n in order if n in rest or n == new)
+            if frozenset(effects) not in known:
+                z[effects] = z[best] + _gaussian(within, effects) - _gaussian(within, best)
+    return Weighed(z)
+
+
+def _gaussian(within: Space, effects: Effects) -> float:
+    places = within.places(effects)
+    sigma = within.sigma[places]
+    gram = within.gram[np.ix_(places, places)] * np.outer(sigma, sigma) + np.eye(len(places))
+    p = within.projection[places] * sigma
+    return float(0.5 * p @ np.linalg.solve(gram, p) - 0.5 * np.linalg.slogdet(gram)[1]) if len(places) else 0.0
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What the catalogue claims.
+
+    Attributes
+    ----------
+    best : Effects
+    lone : tuple of str
+        Its effects that nothing close can replace.
+    classes : tuple of tuple of Effects
+        Members of each open alternative, the most probable first.
+    nearest : float
+        Separation of ``best`` from the nearest rival, in sigma.
+    """
+
+    best: Effects
+    lone: tuple[str, ...]
+    classes: tuple[tuple[Effects, ...], ...]
+    nearest: float
+
+
+def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> Claim:
+    """Compare the best hypothesis with every other set that was weighed.
+
+    A rival within `CLOSE` counts, however improbable its prior makes it: a rarer explanation that the data cannot
+    refute is still open. Where the best is not likely by itself, what makes it so counts too.
+
+    Parameters
+    ----------
+    hypotheses : Weighed
+    best : Effects
+        Most probable set, not the null; all of its effects likely (`likely`).
+    signal : (k,)
+        Its amplitudes.
+    within : Space
+        About its fit.
+    """
+    z = hypotheses.log_evidence
+    mine = frozenset(best)
+    others = [h for h in z if h and not (mine <= set(h) or set(h) <= mine)]
+    distance = {h: separation(within, signal, h) for h in others}
+    near = {h for h in others if distance[h] < CLOSE}
+    if hypotheses.probability([best]) < LIKELY:
+        near |= {h for h in others if z[best] - z[h] < float(np.log(SURE / (1 - SURE)))}
+    rivals = [h for h in near if not any(set(o) < set(h) for o in near)]
+    rivals.sort(key=lambda h: -z[h])
+    nearest = min(distance.values(), default=float("inf"))
+    swaps = {e: [_less(r, mine - {e}) for r in rivals if mine - {e} < set(r)] for e in best}
+    together = {frozenset(n for part in parts for n in part) for parts in product(*([(e,), *swaps[e]] for e in best))}
+    if all(frozenset(r) in together for r in rivals):
+        classes = tuple(((e,), *swaps[e])[:MEMBERS] for e in best if swaps[e])
+        return Claim(best, tuple(e for e in best if not swaps[e]), classes, nearest)
+    common = mine.intersection(*rivals)
+    members = tuple(_less(h, common) for h in (best, *rivals)[:MEMBERS])
+    return Claim(best, tuple(e for e in best if e in common), (members,), nearest)
+
+
+def _less(effects: Effects, dropped: frozenset[str]) -> Effects:
+    return tuple(e for e in effects if e not in dropped)
+
+
+def likely(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> Effects:
+    """The best hypothesis without the effects that are not likely to be there, nor anything close in their place.
+
+    An effect stays where the sets that hold it, or something within `CLOSE` in its place, outweigh the set without it
+    by the odds of `LIKELY`. Those that matter least are asked first.
+    """
+    z = hypotheses.log_evidence
+    kept = best
+    for e in sorted(best, key=lambda e: -z.get(_less(best, frozenset([e])), -np.inf)):
+        rest = _less(kept, frozenset([e]))
+        instead = [h for h in z if set(rest) < set(h) and e not in h and len(h) == len(kept)]
+        filled = [z[kept], *(z[h] for h in instead if separation(within, signal, h) < CLOSE)]
+        if np.logaddexp.reduce(filled) - z[rest] < np.log(LIKELY / (1 - LIKELY)):
+            kept = rest
+    return kept

@@ -1,0 +1,224 @@
+"""Settings that were not fitted, predicted: the choice of effect is made anew without them.
+
+In each fold noise, setting scale, choice of effect (every single and pair and every attachment against the null) and
+amplitudes come from the other settings alone. The left-out data r, whitened with a covariance that the other settings
+gave, are N(A â, 1 + N S² Nᵀ) with their own nuisances N at their priors, so χ² less the number of data has expectation
+0 where nothing is missing and variance 2 n; the sum is not clipped.
+
+All folds work on the linearisation that the whole problem was given. A point to expand about carries no information
+to first order: what a fold learns of the amplitudes it learns from its own residuals. Shape parameters (a place, a
+width) are an exception: they stand where the linearisation has them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from benchsim.diagnosis import noise as noises
+from benchsim.diagnosis import screen
+from benchsim.diagnosis.attachments import Attached, weigh
+from benchsim.diagnosis.classes import estimate, space
+from benchsim.diagnosis.fits import Effects, Naming
+from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, whiten
+from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.result import HeldOut
+
+Array = NDArray[np.float64]
+
+FOLDS = 6
+FEWEST = 3
+"""Settings below which nothing can be left out."""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One fold: which data are left out, and the problem as the other settings show it.
+
+    Attributes
+    ----------
+    test : (n,) bool
+    naming : Naming
+        Its noise and linearisation whitened with the training settings' noise.
+    linear : Linear
+        The whole catalogue's amplitudes about the best fit, whitened likewise.
+    """
+
+    test: NDArray[np.bool_]
+    naming: Naming
+    linear: Linear
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Left-out data of one fold before and after, whitened by ``fold``'s noise, and the chosen effects."""
+
+    chosen: str
+    scale: float
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The outcome, and the left-out residuals in the data's units with their own nuisances taken up."""
+
+    held_out: HeldOut
+    before: Array
+    after: Array
+    chosen: tuple[str, ...]
+
+
+def folds(problem: Problem, naming: Naming, linear: Linear) -> tuple[Fold, ...]:
+    """Leave out every setting once, in at most `FOLDS` folds; none where there are fewer than `FEWEST` settings."""
+    settings = list(dict.fromkeys(problem.groups))
+    if len(settings) < FEWEST:
+        return ()
+    number = {g: i % min(FOLDS, len(settings)) for i, g in enumerate(settings)}
+    of = np.array([number[g] for g in problem.groups])[problem.block]
+    null = naming.linear
+    raw = _unwhiten(problem, naming.noise.covariance, np.column_stack([null.residual, null.nuisance, null.effect]))
+    again = _unwhiten(
+        problem, naming.noise.covariance, np.column_stack([linear.residual, linear.nuisance, linear.effect])
+    )
+    p = null.nuisance.shape[1]
+    known = {q.name: q for e in problem.catalogue for q in e.parameters}
+    sigma = np.concatenate([np.ones(p), [known[n].sigma ** known[n].power for n in null.names]])
+    out = []
+    for f in range(int(of.max()) + 1):
+        test = of == f
+        fold_noise = noises.estimate(problem, raw[:, 0], raw[:, 1:] * sigma, ~test)
+        at_null = _rewhiten(problem, null, raw, fold_noise.covariance, p)
+        fold_naming = replace(naming, noise=fold_noise, linear=at_null)
+        out.append(Fold(test, fold_naming, _rewhiten(problem, linear, again, fold_noise.covariance, p)))
+    return tuple(out)
+
+
+def _unwhiten(problem: Problem, covariance: tuple[Array, ...], white: Array) -> Array:
+    out = np.empty(white.shape)
+    for b, c in enumerate(covariance):
+        rows = problem.rows(b)
+        out[rows] = np.linalg.cholesky(c) @ white[rows]
+    return out
+
+
+def _rewhiten(problem: Problem, linear: Linear, raw: Array, covariance: tuple[Array, ...], p: int) -> Linear:
+    white, logdet = whiten(problem, covariance, raw)
+    return replace(linear, residual=white[:, 0], nuisance=white[:, 1 : 1 + p], effect=white[:, 1 + p :], logdet=logdet)
+
+
+def only(linear: Linear, keep: NDArray[np.bool_]) -> Linear:
+    """The rows of whole blocks; the determinant of the noise, which all hypotheses share, is left out."""
+    return replace(
+        linear,
+        residual=linear.residual[keep],
+        nuisance=linear.nuisance[keep],
+        effect=linear.effect[keep],
+        block=linear.block[keep],
+        logdet=0.0,
+    )
+
+
+def best_scale(linear: Linear, naming: Naming, columns: Array) -> float:
+    """Most probable setting scale with ``columns`` (unit prior variance) among the nuisances."""
+    found = []
+    for scale, weight in zip(naming.setting_scales, naming.scale_weights, strict=True):
+        m = marginal(linear, columns, float(scale))
+        inner = np.eye(columns.shape[1]) + m.gram
+        gain = 0.5 * (m.projection @ np.linalg.solve(inner, m.projection) - np.linalg.slogdet(inner)[1])
+        found.append(np.log(weight) - 0.5 * (m.chi2 + m.logdet) + gain)
+    return float(naming.setting_scales[int(np.argmax(found))])
+
+
+def excess(linear: Linear, residual: Array, test: NDArray[np.bool_], scale: float) -> float:
+    """χ² of left-out data with their nuisances marginalised at the priors, less its expectation."""
+    n_cols, r = linear.nuisance[test], residual[test]
+    s = np.where(linear.scaled, scale, 1.0)
+    factor = cho_factor(np.diag(s**-2.0) + n_cols.T @ n_cols, lower=True)
+    cross = n_cols.T @ r
+    return float(r @ r - cross @ cho_solve(factor, cross)) - int(test.sum())
+
+
+def choose(problem: Problem, fold: Fold) -> tuple[Effects, Attached | None]:
+    """The most probable explanation by the training settings: a set of effects, or else an attachment."""
+    train = only(fold.linear, ~fold.test)
+    place = {n: i for i, n in enumerate(train.names)}
+    nodes = {}
+    for e in problem.catalogue:
+        # One node of the shape grid stands for all: its share of the prior comes with it.
+        share = -sum(float(np.log(len(p.grid))) for p in e.parameters if p.grid)
+        nodes[e.name] = (screen.Node({}, tuple(place[p.name] for p in e.parameters if p.name in place), share),)
+    catalogue = screen.Catalogue({e.name: e for e in problem.catalogue}, nodes, train.effect)
+    scales, weights = fold.naming.setting_scales, fold.naming.scale_weights
+    found = screen.screen(train, catalogue, train.effect, scales, weights)
+    named = max(found, key=lambda h: found[h])
+    plain = replace(fold.naming.linear, effect=fold.naming.linear.effect[:, :0], names=())
+    laid = weigh(problem, fold.naming, keep=~fold.test, linear=plain, log_evidence=found[()])
+    if laid and laid[0].log_evidence > found[named]:
+        return (), laid[0]
+    return named, None
+
+
+def predict(problem: Problem, fold: Fold) -> Prediction:
+    """Choose and fit on the training settings, predict the left-out ones."""
+    effects, laid = choose(problem, fold)
+    linear = fold.linear
+    if laid is not None:
+        linear = fold.naming.linear
+        white, _ = whiten(problem, fold.naming.noise.covariance, laid.attachment.basis)
+        return Prediction(
+            laid.attachment.name, laid.scale, linear.residual, linear.residual - white @ laid.coefficients
+        )
+    if not effects:
+        scale = best_scale(only(fold.naming.linear, ~fold.test), fold.naming, np.zeros((int((~fold.test).sum()), 0)))
+        return Prediction("", scale, fold.naming.linear.residual, fold.naming.linear.residual)
+    train = only(linear, ~fold.test)
+    known = {p.name: p.sigma**p.power for e in problem.catalogue for p in e.parameters}
+    own = [
+        i
+        for i, n in enumerate(linear.names)
+        if any(n == p.name for e in problem.catalogue if e.name in effects for p in e.parameters)
+    ]
+    scale = best_scale(train, fold.naming, train.effect[:, own] * np.array([known[linear.names[i]] for i in own]))
+    amplitudes = estimate(space(problem, train, scale), effects)
+    after = linear.residual - linear.effect @ amplitudes
+    return Prediction("+".join(effects), scale, fold.naming.linear.residual, after)
+
+
+def show(problem: Problem, naming: Naming, linear: Linear) -> Shown | None:
+    """Every setting left out once.
+
+    Parameters
+    ----------
+    problem : Problem
+    naming : Naming
+    linear : Linear
+        The whole catalogue's amplitudes about the best fit (`classes.about`); the naming's own where nothing was found.
+
+    Returns
+    -------
+    Shown or None
+        None where there are fewer than three settings.
+    """
+    many = folds(problem, naming, linear)
+    if not many:
+        return None
+    n = len(problem.data)
+    before, after, chosen = np.full(n, np.nan), np.full(n, np.nan), []
+    total_before = total_after = 0.0
+    for fold in many:
+        made = predict(problem, fold)
+        chosen.append(made.chosen)
+        total_before += excess(fold.naming.linear, made.before, fold.test, made.scale)
+        total_after += excess(fold.linear, made.after, fold.test, made.scale)
+        for source, at, out in ((made.before, fold.naming.linear, before), (made.after, fold.linear, after)):
+            own = np.where(fold.test, source, 0.0)
+            there = replace(at, nuisance=np.where(fold.test[:, None], at.nuisance, 0.0))
+            pull, _ = nuisance_posterior(there, own, made.scale)
+            left = _unwhiten(problem, fold.naming.noise.covariance, (own - there.nuisance @ pull)[:, None])[:, 0]
+            out[fold.test] = left[fold.test]
+    held = HeldOut(len(many), n, total_before, total_after, float(np.sqrt(2 * n)))
+    return Shown(held, before, after, tuple(chosen))

@@ -1,0 +1,120 @@
+"""The rules: what may be claimed of what was weighed, and in which words.
+
+All margins are differences of ln Z. An effect is *named* at P ≥ 0.99, 3 above the best attachment and 3 sigma from
+every rival; *probable* at P ≥ 0.9 with a margin of at least 0. The verdict speaks of what is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchsim.diagnosis.attachments import Attached
+from benchsim.diagnosis.classes import LIKELY, SURE, Claim, Weighed
+from benchsim.diagnosis.fits import Fit
+from benchsim.diagnosis.problem import Effect, Problem
+from benchsim.diagnosis.remainder import Remainder
+from benchsim.diagnosis.result import Found, Location, Size
+
+NAMED_MARGIN, PROBABLE_MARGIN = 3.0, 0.0
+
+MISSING = float(np.log(SURE / (1 - SURE)))
+"""Δ ln Z at which a function without a name shows that something is missing."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the rules are applied to.
+
+    Attributes
+    ----------
+    null_log_evidence : float
+    claim : Claim or None
+        Of the catalogue; None where no effect is likely.
+    log_evidence : float
+        Of the claim's best hypothesis, or of the null.
+    free : tuple of Attached
+        Attachments laid on the null, the most probable first.
+    more : tuple of Attached
+        Laid on the claim's best hypothesis; ``free`` where there is none.
+    left_null, left : Remainder
+        What the smooth modes leave under the null, and under the best hypothesis.
+    """
+
+    null_log_evidence: float
+    claim: Claim | None
+    log_evidence: float
+    free: tuple[Attached, ...]
+    more: tuple[Attached, ...]
+    left_null: Remainder
+    left: Remainder
+
+    @property
+    def margin(self) -> float:
+        """ln Z of the claim, with whatever function lies on it, over the best function alone."""
+        if not self.free:
+            return float("inf")
+        mine = max(self.log_evidence, *(a.log_evidence for a in self.more))
+        return mine - self.free[0].log_evidence
+
+    @property
+    def stands(self) -> bool:
+        """The names are at least as probable as the best attachment."""
+        return self.claim is not None and self.margin >= PROBABLE_MARGIN
+
+    @property
+    def something_left(self) -> bool:
+        """A function on top, or the smooth modes, say that more is missing than what is claimed."""
+        if not self.stands:
+            free = bool(self.free) and self.free[0].log_evidence - self.null_log_evidence > MISSING
+            return free or not self.left_null.acceptable
+        more = bool(self.more) and self.more[0].log_evidence - self.log_evidence > MISSING
+        return more or not self.left.acceptable
+
+
+def verdict(findings: Findings, location: Location | None) -> str:
+    """One of `result.VERDICTS`."""
+    if findings.claim is not None and not findings.stands:
+        # An effect was likely and a function without a name is more so: something is there, under no name.
+        return "located" if location is not None and location.claimed else "unexplained"
+    if findings.something_left:
+        return "located" if location is not None and location.claimed else "unexplained"
+    if findings.claim is None:
+        return "nothing-missing"
+    return "class" if findings.claim.classes else "named"
+
+
+def confidence(probability: float, margin: float) -> str | None:
+    """ "named", "probable", or None where neither may be said; for an effect without rivals within 3 sigma."""
+    if probability >= SURE and margin >= NAMED_MARGIN:
+        return "named"
+    if probability >= LIKELY and margin >= PROBABLE_MARGIN:
+        return "probable"
+    return None
+
+
+def found(
+    problem: Problem, findings: Findings, fit: Fit, hypotheses: Weighed
+) -> tuple[tuple[Found, ...], tuple[str, ...]]:
+    """The lone effects of the claim that may be said to be there, and a note on each that may not."""
+    out, notes = [], []
+    known = {e.name: e for e in problem.catalogue}
+    claim = findings.claim
+    for name in claim.lone if claim is not None and findings.stands else ():
+        probability = hypotheses.probability([(name,)])
+        said = confidence(probability, findings.margin)
+        if said is None:
+            notes.append(f"{name} is suspected, at a probability of {probability:.2f}.")
+            continue
+        effect = known[name]
+        out.append(Found(name, effect.element, probability, said, sizes(effect, fit), effect.says, effect.remedy))
+    return tuple(out), tuple(notes)
+
+
+def sizes(effect: Effect, fit: Fit) -> dict[str, Size]:
+    """Every parameter of an effect as fitted."""
+    return {
+        p.name: Size(float(fit.values.get(p.name, 0.0)), float(fit.sigma.get(p.name, float("nan"))), p.unit)
+        for p in effect.parameters
+    }
