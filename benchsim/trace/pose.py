@@ -165,6 +165,12 @@ def to_pixels(pose: Pose, points: Array) -> Array:
     return _project(pose.camera, pose.rotation, pose.translation, np.asarray(points, float))[0]
 
 
+def pose_derivatives(pose: Pose, points: Array) -> tuple[Array, Array]:
+    """Pixels (..., 2) of points (..., 2) on the board, and their derivatives (..., 2, 6) by turn [rad] and t [mm]."""
+    pixels, _, by_all = _project(pose.camera, pose.rotation, pose.translation, np.asarray(points, float))
+    return pixels, by_all[..., :6]
+
+
 def to_board(pose: Pose, pixels: Array) -> tuple[Array, Array, Array]:
     """Points of the board that pixels show, and how they move with pixel and pose.
 

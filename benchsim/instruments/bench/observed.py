@@ -1,0 +1,140 @@
+"""What one exposure gives to the diagnosis, wherever it comes from, and what its makers share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from benchsim.bench.curve import Curve
+from benchsim.bench.model import Recording
+from benchsim.instruments.bench.chain import View
+from benchsim.trace.pose import Pose, to_board, to_pixels
+
+Array = NDArray[np.float64]
+
+CENTRE_BINS = 64
+SHAPE_BINS = 24
+
+WIDTH_FLOOR = 3e-3
+"""Smooth error of a width, as a fraction, common to neighbouring bins: what the profile's finite window, its background
+and the line's mean shape leave."""
+
+FLUX_FLOOR = 3e-3
+"""The same of the flux: print and board reflect unevenly, and the background is subtracted to so much."""
+
+FLOOR_LENGTH = 150.0
+"""Length over which that error changes [mm]."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What one exposure gives to the diagnosis.
+
+    Attributes
+    ----------
+    index : int
+        Number of the exposure in the recording.
+    name : str
+    points : (n, 2) mm
+        Where the trace was measured, in the coordinates that the marks and the stated camera give.
+    s : (n,) mm
+        Arc length along the trace.
+    covariance : (n, n) mm²
+        Of the points' displacements across the trace.
+    profile_points : (k, 2) mm, profile_s : (k,) mm
+        Where width and flux were measured; empty where the camera's gamma is unknown.
+    width2 : (k,) mm²
+        Square of the adaptive width, blur included.
+    width2_covariance : (k, k)
+    log_flux : (k,)
+        Of the light per mm; its constant is free.
+    log_flux_covariance : (k, k)
+    mm_per_px : (k,)
+        Of a shift across the trace.
+    view : View
+        The pose and how it hangs on the marks.
+    marks : (m, 2) px
+        Residuals of the marks' centres, those of `View.corners` in their order; nan where a centre was not measured.
+    marks_covariance : (m, 2, 2) px²
+    blur : float
+        1 sigma of the camera's blur [px], the pixel's width included, as the marks' edges show it.
+    notes : tuple of str
+        What was left out, in sentences.
+    """
+
+    index: int
+    name: str
+    points: Array
+    s: Array
+    covariance: Array
+    profile_points: Array
+    profile_s: Array
+    width2: Array
+    width2_covariance: Array
+    log_flux: Array
+    log_flux_covariance: Array
+    mm_per_px: Array
+    view: View
+    marks: Array
+    marks_covariance: Array
+    blur: float
+    notes: tuple[str, ...] = ()
+
+
+def nominal(recording: Recording) -> Recording:
+    """The stated bench without effects: where reference points are laid off from, in every simulation alike."""
+    return replace(recording, effects={}, fields={})
+
+
+def beside(curve: Curve, s: Array, distance: Array) -> Array:
+    """Points (n, 2) at signed distances from the feet at arc lengths s of a curve; undoes `signed_distance`."""
+    spline = CubicSpline(curve.arc_length(), curve.points)
+    tangent = spline(s, 1)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return spline(s) + distance[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+
+
+def no_shape() -> dict[str, Any]:
+    """Width and flux of an exposure that has none."""
+    none, square = np.zeros(0), np.zeros((0, 0))
+    return {
+        "profile_points": np.zeros((0, 2)),
+        "profile_s": none,
+        "width2": none,
+        "width2_covariance": square,
+        "log_flux": none,
+        "log_flux_covariance": square,
+        "mm_per_px": none,
+    }
+
+
+def mm_per_px(pose: Pose, points: Array, normal: Array) -> Array:
+    """mm across a trace per px across it in the picture.
+
+    Parameters
+    ----------
+    pose : Pose
+    points : (n, 2) array [mm]
+        On the board.
+    normal : (n, 2) array
+        Unit, across the trace on the board.
+
+    Returns
+    -------
+    (n,) ndarray
+    """
+    _, by_pixel, _ = to_board(pose, to_pixels(pose, points))
+    along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    run = np.einsum("nij,nj->ni", np.linalg.inv(by_pixel), along)
+    across = np.stack([-run[:, 1], run[:, 0]], axis=1) / np.linalg.norm(run, axis=1, keepdims=True)
+    return np.asarray(np.abs(np.einsum("ni,nij,nj->n", normal, by_pixel, across)), float)
+
+
+def smooth_floor(s: Array, size: Array) -> Array:
+    """Covariance (n, n) of a smooth error of 1 sigma ``size`` (n,) that changes over `FLOOR_LENGTH`, at s [mm]."""
+    apart = s[:, None] - s[None, :]
+    return np.outer(size, size) * np.exp(-0.5 * (apart / FLOOR_LENGTH) ** 2)
