@@ -1,0 +1,117 @@
+"""The measured board coordinate against brute force: pixels of the true camera, pose solved again, light read back.
+
+Light and marks are seen by a true camera from a true pose; the marks are solved for a pose with the stated camera, and
+the light is read back from there. `chain` is handed only that solved pose, and must find where the light was measured
+and what the marks were left with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benchsim import rays, trace
+from benchsim.bench.fields import field
+from benchsim.bench.model import Camera, Exposure, Laser, Marks, Mirror, Recording, Screen
+from benchsim.bench.place import camera_pose
+from benchsim.instruments.bench import chain
+from benchsim.trace.marks import MarkObservations, board_corners
+
+CAMERA = Camera("A", (1600, 1200), 1680.0, (803.0, 596.5), (-0.08, 0.03, 6e-4, -4e-4, 0.0))
+PLACES = [(y, z) for y in (-300, -150, 0, 150, 300) for z in (-300, -150, 0, 150, 300)]
+MARKS = Marks(tuple(range(25)), tuple((float(y), float(z)) for y, z in PLACES), (36.0,) * 25)
+LIGHT = np.column_stack([np.linspace(-40.0, 120.0, 30), np.linspace(330.0, -330.0, 30)])
+LEVEL = np.linspace(1.0, 0.4, 30)
+CORNER = 0.02
+
+GRID = np.linspace(-350.0, 350.0, 15)
+Y, Z = np.meshgrid(GRID, GRID, indexing="ij")
+DENT = field([GRID, GRID], np.exp(-((Y - 40) ** 2 + (Z - 90) ** 2) / 2 / 62**2)[None])
+SHIFT = field([GRID, GRID], 0.2 * np.stack([np.sin(Y / 90) * np.cos(Z / 120), np.cos(Y / 80)]))
+U, V = np.meshgrid(np.linspace(0, 1600, 20), np.linspace(0, 1200, 16), indexing="ij")
+SPOT = field([U[:, 0], V[0]], np.stack([np.exp(-((U - 790) ** 2 + (V - 700) ** 2) / 2 / 70**2), np.zeros_like(U)]))
+BRIGHT = field([[0.0, 0.5, 1.0]], np.array([[0.0, 0.1, 0.5], [0.0, 0.0, -0.3]]))
+
+CASES = {
+    "screen-tilt": ({"screen-tilt": {"st_y": 20.0, "st_z": -15.0}}, {}),
+    "screen-bow": ({"screen-bow": {"bow_y": 0.1, "bow_z": -0.05}}, {}),
+    "grid-scale": ({"grid-scale": {"gs": 8.0}}, {}),
+    "grid-aspect": ({"grid-aspect": {"ga": 8.0}}, {}),
+    "grid-shear": ({"grid-shear": {"gsh": -8.0}}, {}),
+    "radial-distortion": ({"radial-distortion": {"k1": 0.06, "k2": -0.04}}, {}),
+    "tangential-distortion": ({"tangential-distortion": {"p1": 0.01, "p2": -0.008}}, {}),
+    "rolling-shutter": ({"rolling-shutter": {"rs_s": 3.0, "rs_c": 1.0, "rs_period": 900.0}}, {}),
+    "saturation": ({"saturation": {"sat": 2.0}}, {}),
+    "dent": ({}, {"height": DENT}),
+    "print": ({}, {"shift": SHIFT}),
+    "lens spot": ({}, {"pixel": SPOT}),
+    "brightness": ({}, {"brightness": BRIGHT}),
+    "bow and lens": ({"screen-bow": {"bow_z": 0.05}, "radial-distortion": {"k1": -0.05}}, {"height": DENT}),
+}
+
+
+def recording(effects, fields) -> Recording:
+    exposure = Exposure("A", "s1", 1.76, 0.87, (1500.0, -160.0, -1430.0))
+    screen = Screen(marks=MARKS)
+    return Recording(Laser(), Mirror(), screen, {"A": CAMERA}, (exposure,), effects=effects, fields=fields)
+
+
+def observations(corners: np.ndarray) -> MarkObservations:
+    n = len(corners)
+    joint = np.tile(np.eye(8) * CORNER**2, (n, 1, 1))
+    return MarkObservations(
+        "made", np.arange(n), corners, np.tile(np.eye(2) * CORNER**2, (n, 4, 1, 1)), joint, board_corners(MARKS),
+        np.ones((n, 4), bool), np.ones(n),
+    )  # fmt: skip
+
+
+def solved(truth: Recording, rotation, translation, camera=CAMERA):
+    corners = rays.see(truth, camera, rotation, translation, board_corners(MARKS).reshape(-1, 2), printed=True)
+    pose = trace.solve_pose(CAMERA, observations(corners.reshape(-1, 4, 2)))
+    # A local fault may make the solution set marks aside; those that it used are what the pose hangs on.
+    weight = np.tile(np.eye(8) / CORNER**2, (pose.used.sum(), 1, 1))
+    return pose, chain.view(pose, board_corners(MARKS)[pose.used], weight)
+
+
+def true_pose():
+    rotation, translation = camera_pose(CAMERA)
+    return Rotation.from_rotvec([0.003, -0.004, 0.002]).as_matrix() @ rotation, translation + np.array([3.0, -2.0, 4.0])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_measured_places_and_residuals_are_those_of_a_pose_solved_again(case):
+    truth = recording(*CASES[case])
+    assert chain.active(truth)
+    rotation, translation = true_pose()
+    pose, seen = solved(truth, rotation, translation)
+    want = trace.to_board(pose, rays.see(truth, CAMERA, rotation, translation, LIGHT, level=LEVEL))[0]
+    got, residual = chain.measured(truth, seen, LIGHT, LEVEL)
+    effect = np.abs(want - LIGHT).max()
+    assert effect > 0.03, "the case moves the light by more than it is held to"
+    # A thousandth of what the effect does, and well below a bin's sigma of 5 µm.
+    assert np.abs(got - want).max() < 5e-4 + 1e-4 * effect
+    assert np.abs(residual - pose.residuals[pose.used].mean(axis=1)).max() < 1e-3
+
+
+def test_wrong_intrinsics_are_seen_through_the_same_step():
+    true = replace(CAMERA, focal=1690.0, principal_point=(808.0, 592.0), distortion=(-0.07, 0.03, 6e-4, -4e-4, 0.0))
+    truth = recording({}, {})
+    assert not chain.active(truth)
+    rotation, translation = true_pose()
+    pose, seen = solved(truth, rotation, translation, true)
+    want = trace.to_board(pose, rays.see(truth, true, rotation, translation, LIGHT))[0]
+    got, residual = chain.measured(truth, seen, LIGHT, camera=true)
+    assert np.abs(want - LIGHT).max() > 0.05
+    assert np.abs(got - want).max() < 5e-4
+    assert np.abs(residual - pose.residuals[pose.used].mean(axis=1)).max() < 1e-3
+
+
+def test_without_effects_nothing_moves():
+    truth = recording({}, {})
+    pose, seen = solved(truth, *true_pose())
+    got, residual = chain.measured(truth, seen, LIGHT, LEVEL)
+    assert np.abs(got - LIGHT).max() < 1e-6 and np.abs(residual).max() < 1e-6
+    assert np.allclose(chain.read_back(seen, trace.to_pixels(pose, LIGHT)), LIGHT, atol=1e-8)
