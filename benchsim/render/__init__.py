@@ -4,13 +4,17 @@ Importing the room registers the plugins of `plugins` for whatever variant is se
 ``mi.load_file`` and ``mi.render`` can use ``scenes/*.xml``. It sets no variant; `backend.use` does, and tests it.
 """
 
-from benchsim.render import plugins
+from benchsim.render import effects, plugins
 from benchsim.render.irradiance import ScreenMap, irradiance
 from benchsim.render.picture import Picture, photograph
 from benchsim.render.recording import RenderedTruth, draw_errors, render_recording
 from benchsim.render.reference import scene_xml
 
+EFFECTS = effects.gather()[0]
+"""Every effect that the room draws, name → parameters; a parameter that ends in ``*`` is a row, one per facet."""
+
 __all__ = [
+    "EFFECTS",
     "Picture",
     "RenderedTruth",
     "ScreenMap",

@@ -7,7 +7,7 @@ several shifts give the noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -20,6 +20,7 @@ from benchsim.bench.place import Placement, place
 from benchsim.render import backend
 from benchsim.render.beam_table import BeamTable
 from benchsim.render.film import Film
+from benchsim.render.mixture import mixture, without
 from benchsim.render.sweep import blur_reach, footprint, sweep
 from benchsim.render.tracer import Tracer, opaque
 
@@ -88,7 +89,8 @@ def irradiance(
 
     Homocentric Gaussian beam with incoherent blur, flat facets (or the cylinder), finite width and height, Fresnel
     diffraction at the height, one facet if the exposure is gated; each as ``recording.physics`` has it. Float32, hits
-    within 1 µm of float64.
+    within 1 µm of float64. ``recording.effects`` and ``recording.fields`` are drawn as far as they are the light's
+    (`effects.gather`); those of print and camera are the photograph's, and do nothing here.
 
     Parameters
     ----------
@@ -116,7 +118,7 @@ def irradiance(
     Raises
     ------
     BenchsimError
-        If the recording asks for effects, or no light reaches the board.
+        If an effect is not known or its number not physical, or no light reaches the board.
 
     Notes
     -----
@@ -126,6 +128,23 @@ def irradiance(
     if rays is not None and relative_error is not None:
         raise TypeError("give rays or relative_error, not both")
     backend.use()
+    parts = mixture(recording)
+    if len(parts) > 1:
+        lights = [
+            irradiance(
+                replace(recording, physics=physics, effects=without(recording.effects)),
+                exposure,
+                placement=placement,
+                seed=seed,
+                rays=rays,
+                relative_error=relative_error,
+                pitch=pitch,
+                lenses=lenses,
+            )
+            for _, physics in parts
+        ]
+        return _mixed(lights, [share for share, _ in parts])
+    recording = replace(recording, physics=parts[0][1])
     s = sweep(recording, exposure, placement or place(recording.mirror, exposure), lenses)
     film = Film(recording.screen.size, pitch, *footprint(s), blur_reach(s))
     tracer = Tracer(s)
@@ -154,6 +173,15 @@ def irradiance(
             )
     values = film.spread(mean) * (s.measure / pitch**2)
     return ScreenMap(values, film.y0, film.z0, pitch, error, per_replicate * REPLICATES)
+
+
+def _mixed(lights: list[ScreenMap], shares: list[float]) -> ScreenMap:
+    """Shares of several lights on one board; the noise is that of all, as if it were even over the lit bins."""
+    values = np.sum([w * m.values for w, m in zip(shares, lights, strict=True)], axis=0)
+    lit = values > LIT * values.max()
+    noise = [(w * m.relative_error * m.values[lit]) ** 2 for w, m in zip(shares, lights, strict=True)]
+    error = float(np.sqrt(np.mean(np.sum(noise, axis=0) / values[lit] ** 2)))
+    return replace(lights[0], values=values, relative_error=error, rays=sum(m.rays for m in lights))
 
 
 def _replicates(tracer: Tracer, film: Film, n: int, rng: np.random.Generator) -> tuple[Array, float]:

@@ -11,19 +11,29 @@ direction less d:
 
 with N the board's normal and E its two axes. No term is larger than the board, so a float32 hit is within 0.1 µm or so
 of float64, where tracing in the world frame loses tens of µm.
+
+With effects m is any change of the unit normal and ξ any point (`facet`), the air hands over another ξ and q (`air`),
+and the plane's hit goes on to the board's surface (`landing`). What a recording has not is not in its kernel.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from benchsim.bench.model import Laser, Mirror
+from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import Placement
+from benchsim.render import facet as facet_shape
+from benchsim.render import laser as source
+from benchsim.render.air import air
 from benchsim.render.beam_table import BeamTable, axes
-from benchsim.render.laser import Beam, Vec, dot, ray_through
+from benchsim.render.facet import Shape
+from benchsim.render.landing import Landing, landing
+from benchsim.render.laser import Beam, Vec, bent, dot, ray_through
+from benchsim.render.motion import Motion, motion
+from benchsim.render.surface import turned
 
 
 @dataclass(frozen=True)
@@ -48,6 +58,10 @@ class Optics:
         G of the board's y and z.
     hit : (y, z), mm
         H.
+    edges : (triple, triple)
+        E, the board's y and z.
+    shape, air, landing, motion
+        What effects make of facet, air, board and light; None or empty without.
     """
 
     beam: Beam
@@ -62,6 +76,20 @@ class Optics:
     across: Vec
     up: Vec
     hit: tuple[Any, Any]
+    edges: tuple[Vec, Vec]
+    shape: Shape | None = None
+    air: tuple[Any, ...] = ()
+    landing: Landing | None = None
+    motion: Motion | None = None
+
+    @property
+    def plain(self) -> bool:
+        """Whether every ray is as the module's head has it: flat upright facets, still air, a plane board."""
+        return self.shape is None and not self.air and self.landing is None and self.beam.bent is None
+
+    def from_board(self, v: Vec) -> Vec:
+        """A vector (x, y, z) of the board's frame as a triple of the rotor's."""
+        return tuple(v[0] * self.front[i] + v[1] * self.edges[0][i] + v[2] * self.edges[1][i] for i in range(3))
 
     def map(self, convert: Any) -> Optics:
         """The same with every number converted, for instance to opaque Dr.Jit variables."""
@@ -69,18 +97,38 @@ class Optics:
         def walk(x: Any) -> Any:
             if isinstance(x, tuple):
                 return tuple(walk(e) for e in x)
-            if isinstance(x, Beam):
+            if is_dataclass(x) and not isinstance(x, type):
                 return replace(x, **{f.name: walk(getattr(x, f.name)) for f in fields(x)})
-            return convert(x)
+            return convert(x) if isinstance(x, float) else x
 
         return replace(self, **{f.name: walk(getattr(self, f.name)) for f in fields(self)})
 
 
-def optics(laser: Laser, mirror: Mirror, placement: Placement, phase: float, table: BeamTable | None = None) -> Optics:
-    """Constants of a trace about a phase [rad] of the reflecting facet's normal, from ``placement.normal``.
+@dataclass(frozen=True)
+class Bench:
+    """What one exposure's light meets: the recording with its true laser, r, and where everything stands."""
 
-    ``table`` is what lenses add to the laser's ideal beam.
+    recording: Recording
+    exposure: Exposure
+    placement: Placement
+    radius: float
+    lenses: BeamTable | None = None
+
+
+def bench(recording: Recording, exposure: Exposure, placement: Placement, lenses: BeamTable | None = None) -> Bench:
+    """The bench of one exposure, with every effect that is a matter of where things stand worked into the placement.
+
+    ``lenses`` is what lenses add to the laser's ideal beam.
     """
+    radius, placement = facet_shape.disturbed(recording, placement)
+    laser, placement = source.disturbed(recording, exposure, placement)
+    placement = turned(placement, recording.effects)
+    return Bench(replace(recording, laser=laser), exposure, placement, radius, lenses)
+
+
+def optics(bench: Bench, phase: float) -> Optics:
+    """Constants of a trace about a phase [rad] of the reflecting facet's normal, from ``placement.normal``."""
+    placement, laser, mirror, table = bench.placement, bench.recording.laser, bench.recording.mirror, bench.lenses
     a = placement.axis / np.linalg.norm(placement.axis)
     n0 = placement.normal - (placement.normal @ a) * a
     n0 = n0 / np.linalg.norm(n0)
@@ -89,7 +137,7 @@ def optics(laser: Laser, mirror: Mirror, placement: Placement, phase: float, tab
     d = rotor @ placement.laser_direction
     chief = d * np.array([-1.0, 1.0, 1.0])
     front, ey, ez = (rotor @ placement.screen_rotation).T
-    point = placement.centre + mirror.radius * n
+    point = placement.centre + bench.radius * n
     from_board = rotor @ (point - placement.screen_origin)
     height, slope = from_board @ front, chief @ front
     t = -height / slope
@@ -102,8 +150,14 @@ def optics(laser: Laser, mirror: Mirror, placement: Placement, phase: float, tab
         x, y = (triple(rotor @ v) for v in axes(placement.laser_direction))
         lenses = (x, y, 1 / (table.reach * laser.waist), table.slope_x, table.slope_y, table.log_ratio)
     return Optics(
-        beam=Beam(triple(d), laser.curvature, laser.waist, lenses),
-        radius=mirror.radius,
+        beam=Beam(
+            triple(d),
+            laser.curvature,
+            laser.waist,
+            lenses,
+            bent(bench.recording, placement.axis, placement.laser_direction, rotor),
+        ),
+        radius=bench.radius,
         half_width=mirror.facet_width / 2,
         half_height=mirror.height / 2,
         offset=triple(rotor @ (point - placement.laser_point)),
@@ -114,6 +168,11 @@ def optics(laser: Laser, mirror: Mirror, placement: Placement, phase: float, tab
         across=triple(ey - front * (chief @ ey) / slope),
         up=triple(ez - front * (chief @ ez) / slope),
         hit=(float((from_board + t * chief) @ ey), float((from_board + t * chief) @ ez)),
+        edges=(triple(ey), triple(ez)),
+        shape=facet_shape.shape(bench.recording, float(phase)),
+        air=air(bench.recording, placement, rotor, point, chief),
+        landing=landing(bench.recording, placement, rotor, chief),
+        motion=motion(bench.recording, bench.exposure, placement),
     )
 
 
@@ -124,6 +183,9 @@ class Hit:
     ``y, z`` [mm] on the board; ``rho``, ``spread`` of the beam's ray (see `laser.ray_through`); ``falling`` n·g,
     negative on the mirror's outside; ``distance`` [mm] from the mirror to the board in units of |g| ≈ 1; ``approach``
     g'·N, negative on the board's front; ``lean`` a·g; ``t, h`` [mm] the point on the facet.
+
+    With effects also ``x`` [mm], the board's height there, ``share``, the part of the light that glass lets through or
+    None, ``out`` g' at the mirror and ``up``, the facet's own direction of h.
     """
 
     y: Any
@@ -136,6 +198,10 @@ class Hit:
     lean: Any
     t: Any
     h: Any
+    x: Any = 0.0
+    share: Any = None
+    out: Vec = ()
+    up: Vec = ()
 
     @property
     def arrives(self) -> Any:
@@ -175,7 +241,38 @@ def _onward(o: Optics, xi: Vec, kick: Vec, rho: Vec, spread: Any, c1: Any, s: An
     )
 
 
-def from_facet(o: Optics, delta: Any, t: Any, h: Any, m: Any, jitter: Any = None) -> Hit:
+def _onward_bent(
+    o: Optics, xi: Vec, kick: Vec, rho: Vec, spread: Any, change: Vec, up: Vec, t: Any, h: Any, ghost: Any, m: Any
+) -> Hit:
+    """The same with whatever effects there are; ``change`` is the unit normal less (1, 0, 0)."""
+    d = o.beam.direction
+    normal = (1.0 + change[0], change[1], change[2])
+    turn = dot(d, change) + dot(kick, normal)
+    q: Vec = tuple(kick[i] - 2.0 * (d[0] * change[i] + turn * normal[i]) for i in range(3))
+    out = tuple(o.chief[i] + q[i] for i in range(3))
+    share = None
+    if o.shape is not None and o.shape.coated_behind:
+        # The coating is parallel to the front face: the light leaves in the direction in which that would reflect it.
+        aside, reflected = facet_shape.within(tuple(d[i] + kick[i] for i in range(3)), normal)
+        share = facet_shape.share(reflected, ghost)
+        xi = tuple(xi[i] + (1.0 - ghost) * 2.0 * o.shape.glass * aside[i] for i in range(3))
+    for element in o.air:
+        xi, q, part = element.bend(xi, q, m)
+        if part is not None:
+            share = part if share is None else share * part
+    approach = o.slope + dot(q, o.front)
+    distance = -(o.height + dot(xi, o.front)) / approach
+    v = tuple(xi[i] + distance * q[i] for i in range(3))
+    x, y, z = 0.0 * approach, o.hit[0] + dot(v, o.across), o.hit[1] + dot(v, o.up)
+    if o.landing is not None:
+        x, y, z = o.landing.land(y, z, q, approach)
+        distance = distance + x / approach
+    return Hit(y, z, rho, spread, d[0] + turn, distance, approach, d[2] + kick[2], t, h, x, share, out, up)
+
+
+def from_facet(
+    o: Optics, delta: Any, t: Any, h: Any, m: Any, jitter: Any = None, facet: Any = 0.0, ghost: Any = 0.0
+) -> Hit:
     """The beam's ray that meets the point (t, h) of the facet.
 
     Parameters
@@ -189,14 +286,34 @@ def from_facet(o: Optics, delta: Any, t: Any, h: Any, m: Any, jitter: Any = None
         numpy or drjit, whichever the arrays are of.
     jitter : optional
         See `laser.ray_through`.
+    facet, ghost : array
+        Number of the facet; 1 for what a glass front face reflects, else 0. Looked at where they matter only.
     """
     c1, s = _turn(delta, m)
-    xi = (o.radius * c1 - t * s, o.radius * s + t * (1.0 + c1), h)
+    if o.plain:
+        xi: Vec = (o.radius * c1 - t * s, o.radius * s + t * (1.0 + c1), h)
+        kick, rho, spread = ray_through(o.beam, tuple(o.offset[i] + xi[i] for i in range(3)), jitter)
+        return _onward(o, xi, kick, rho, spread, c1, s, t, h)
+    zero = 0.0 * (delta + t + h)
+    if o.shape is None:
+        on, change, up = (-t * s, t * (1.0 + c1), h + zero), (c1, s, 0.0), (0.0, 0.0, 1.0)
+    else:
+        on, change, up = facet_shape.lift(o.shape, c1, s, o.shape.leaning(delta, facet, m), t + zero, h + zero, m)
+    xi = (o.radius * c1 + on[0], o.radius * s + on[1], on[2])
     kick, rho, spread = ray_through(o.beam, tuple(o.offset[i] + xi[i] for i in range(3)), jitter)
-    return _onward(o, xi, kick, rho, spread, c1, s, t, h)
+    entry = xi
+    if o.shape is not None and o.shape.coated_behind:
+        # (t, h) is the place on the coating; the light enters before it. A step shrinks the error by glass × curvature.
+        d, normal = o.beam.direction, (1.0 + change[0], change[1], change[2])
+        for _ in range(2):
+            aside, _r = facet_shape.within(tuple(d[i] + kick[i] for i in range(3)), normal)
+            way = (1.0 - ghost) * o.shape.glass
+            entry = tuple(xi[i] - way * aside[i] for i in range(3))
+            kick, rho, spread = ray_through(o.beam, tuple(o.offset[i] + entry[i] for i in range(3)), jitter)
+    return _onward_bent(o, entry, kick, rho, spread, change, up, t, h, ghost, m)
 
 
-def single_ray(o: Optics, delta: Any, m: Any, *, facets: bool) -> Hit:
+def single_ray(o: Optics, delta: Any, m: Any, *, facets: bool, facet: Any = 0.0, ghost: Any = 0.0) -> Hit:
     """The one ray of ``physics.beam = false``.
 
     With facets it is fixed along the laser's axis and meets the facet's plane at (t, h), which may lie beyond its
@@ -204,6 +321,8 @@ def single_ray(o: Optics, delta: Any, m: Any, *, facets: bool) -> Hit:
     """
     c1, s = _turn(delta, m)
     zero = delta * 0.0
+    if not o.plain:
+        return _bent_ray(o, c1, s, zero, delta, m, facets, facet, ghost)
     if facets:
         d, e = o.beam.direction, o.offset
         n = (1.0 + c1, s)
@@ -215,3 +334,31 @@ def single_ray(o: Optics, delta: Any, m: Any, *, facets: bool) -> Hit:
         xi, t = (o.radius * c1, o.radius * s, zero), zero
     nothing = (zero, zero, zero)
     return _onward(o, xi, nothing, nothing, 1.0 + zero, c1, s, t, xi[2])
+
+
+def _bent_ray(o: Optics, c1: Any, s: Any, zero: Any, delta: Any, m: Any, facets: bool, facet: Any, ghost: Any) -> Hit:
+    """The single ray with effects: the facet's surface is met by iteration, and the beam bends where its axis is."""
+    nothing = (zero, zero, zero)
+    kick: Vec = nothing
+    if o.beam.bent is not None:
+        bent = o.beam.bent
+        su, sv = bent.slopes(zero, zero)
+        kick = tuple(bent.u[i] * su + bent.v[i] * sv for i in range(3))
+    g, e = tuple(o.beam.direction[i] + kick[i] for i in range(3)), o.offset
+    shape = o.shape
+    lean = zero if shape is None else shape.leaning(delta, facet, m)
+    across = (-s, 1.0 + c1, zero)
+    t, h = zero, zero
+    xi: Vec = (o.radius * c1, o.radius * s, zero)
+    flat = Shape(0.0, 0.0, (), None, 0.0, 0.0, False, 1) if shape is None else shape
+    _, change, up = facet_shape.lift(flat, c1, s, lean, zero, zero, m)
+    if facets:
+        base, n = xi, (1.0 + change[0], change[1], change[2])
+        for _ in range(3):
+            sag = -0.5 * flat.curvature * (t * t + h * h)
+            along = (dot(n, tuple(e[i] + base[i] for i in range(3))) + sag) / dot(n, g)
+            xi = tuple(along * g[i] - e[i] for i in range(3))
+            away = tuple(xi[i] - base[i] for i in range(3))
+            t, h = dot(away, across), dot(away, up)
+        _, change, up = facet_shape.lift(flat, c1, s, lean, t, h, m)
+    return _onward_bent(o, xi, kick, nothing, 1.0 + zero, change, up, t, h, ghost, m)

@@ -139,6 +139,8 @@ def scene_xml(
     if mirror.shape != "polygon" or not recording.physics.facets or not recording.physics.beam:
         raise BenchsimError(f"{recording.path}: a Mitsuba scene needs a polygon, facets = true and beam = true")
     where = placement or place(mirror, exposure)
+    for name in (*recording.effects, *recording.fields):
+        raise BenchsimError(f"{recording.path}: {name} is not drawn as a Mitsuba scene; take it out of the file")
     s = sweep(recording, exposure, where)
     reach = s.half_range + abs(s.shear) * mirror.facet_width / 2
     pitch = 2 * np.pi / mirror.facets

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -10,8 +11,11 @@ import numpy as np
 
 from benchsim.render.diffraction import Pattern
 from benchsim.render.laser import density, perpendicular
-from benchsim.render.mirror import from_facet, single_ray
-from benchsim.render.sweep import Sweep, nu_and_beta
+from benchsim.render.mirror import Hit, from_facet, single_ray
+from benchsim.render.sweep import Sweep, moved, nu_and_beta, nu_and_beta_bent, over_height
+
+GHOST = 0.125
+"""Share of the rays that follow the reflection at a glass front face, where there is one."""
 
 
 def opaque(value: float) -> Any:
@@ -72,7 +76,21 @@ class Tracer:
         u, v = perpendicular(np.array(s.optics.beam.direction))
         self.plane = tuple(tuple(opaque(x) for x in axis) for axis in (u, v))
         self.blur = opaque(s.blur)
-        self.dimensions = 1 if not s.beam else (5 if s.blur > 0 else 3)
+        motion = s.optics.motion
+        self.shakes = motion is not None and motion.shakes
+        self.bent = not s.optics.plain
+        # Dimensions beyond phase, t and h: where each begins, or None.
+        self.dimensions = 3 if s.beam else 1
+        self._at_blur = self._take(2, s.blur > 0)
+        self._at_height = self._take(1, self.bent and self.tables is not None)
+        self._at_facet = self._take(1, s.differs and len(s.numbers) > 1)
+        self._at_ghost = self._take(1, s.ghost)
+        self._at_shake = self._take(2, self.shakes)
+
+    def _take(self, count: int, wanted: bool) -> int | None:
+        first = self.dimensions
+        self.dimensions += count if wanted else 0
+        return first if wanted else None
 
     def __call__(self, u: list[Any]) -> tuple[Any, Any, Any, Any, tuple[Any, Any, Any]]:
         """Trace rays.
@@ -90,32 +108,76 @@ class Tracer:
         """
         o, s = self.optics, self.sweep
         delta = dr.fma(2.0 * u[0], self.half_range, -self.half_range)
+        facet: Any = float(s.numbers[0])
+        if self._at_facet is not None:
+            facet = dr.minimum(dr.floor(u[self._at_facet] * float(len(s.numbers))), float(len(s.numbers) - 1))
+        ghost: Any = 0.0
+        if self._at_ghost is not None:
+            ghost = dr.select(u[self._at_ghost] < GHOST, mi.Float(1.0), 0.0)
         if not s.beam:
-            hit = single_ray(o, delta, dr, facets=s.facets)
+            hit = single_ray(o, delta, dr, facets=s.facets, facet=facet, ghost=ghost)
             on = hit.arrives
             if s.facets:
                 # The facet's ends hand over to the next one; its height is ignored, or setting errors of 1 mm would
                 # lose the ray.
                 on &= dr.abs(hit.t) <= o.half_width
-            return hit.y, hit.z, mi.Float(1.0) + 0.0 * hit.y, on, (delta, hit.t, hit.h)
-        t = dr.fma(2.0 * u[1], o.half_width, -o.half_width) if s.facets else mi.Float(0.0)
-        delta = dr.fma(self.shear, t, delta)
+            weight = mi.Float(1.0) + 0.0 * hit.y
+        else:
+            t = dr.fma(2.0 * u[1], o.half_width, -o.half_width) if s.facets else mi.Float(0.0)
+            delta = dr.fma(self.shear, t, delta)
+            hit, weight = self._beam(u, delta, t, facet, ghost)
+            on = hit.arrives
+        if hit.share is not None:
+            weight = weight * hit.share
+        if self._at_ghost is not None:
+            weight = weight * dr.select(ghost > 0.5, 1.0 / GHOST, 1.0 / (1.0 - GHOST))
+        shake = None if self._at_shake is None else self._normal(u, self._at_shake)
+        hit = moved(o, hit, shake)
+        return hit.y, hit.z, weight, on, (delta, hit.t, hit.h)
+
+    def _beam(self, u: list[Any], delta: Any, t: Any, facet: Any, ghost: Any) -> tuple[Hit, Any]:
+        """The beam's ray from the point t across the facet, at a height of its own, and its weight."""
+        o = self.optics
         jitter = None
-        if s.blur > 0:
-            # Box-Muller; 1 − u lies in (0, 1].
-            r = self.blur * dr.sqrt(-2.0 * dr.log(1.0 - u[3]))
-            sine, cosine = dr.sincos(2.0 * dr.pi * u[4])
-            jitter = (*self.plane, r * cosine, r * sine)
+        if self._at_blur is not None:
+            a, b = self._normal(u, self._at_blur)
+            jitter = (*self.plane, self.blur * a, self.blur * b)
         if self.tables is None:
             h = dr.fma(2.0 * u[2], o.half_height, -o.half_height)
-            hit = from_facet(o, delta, t, h, dr, jitter)
-            weight = density(o.beam, hit.rho, hit.spread, dr.exp) * -hit.falling
-        else:
-            centre = from_facet(o, delta, t, mi.Float(0.0), dr, jitter)
-            h, share = self.tables.sample(u[2], *nu_and_beta(o, centre, self.wavelength))
-            hit = from_facet(o, delta, t, h, dr, jitter)
-            weight = density(o.beam, centre.rho, centre.spread, dr.exp) * -centre.falling * share
-        return hit.y, hit.z, weight, hit.arrives, (delta, t, h)
+            hit = from_facet(o, delta, t, h, dr, jitter, facet, ghost)
+            return hit, density(o.beam, hit.rho, hit.spread, dr.exp) * -hit.falling
+        if self._at_height is not None:
+            return self._bent_beam(u[2], u[self._at_height], delta, t, jitter, facet, ghost)
+        centre = from_facet(o, delta, t, mi.Float(0.0), dr, jitter)
+        h, share = self.tables.sample(u[2], *nu_and_beta(o, centre, self.wavelength))
+        hit = from_facet(o, delta, t, h, dr, jitter)
+        return hit, density(o.beam, centre.rho, centre.spread, dr.exp) * -centre.falling * share
+
+    def _bent_beam(self, v: Any, w: Any, delta: Any, t: Any, jitter: Any, facet: Any, ghost: Any) -> tuple[Hit, Any]:
+        """The same with diffraction where effects bend the light over the facet's height.
+
+        The light is taken from a place h on the facet, in proportion to the beam's power there, and diffracted from
+        there to where a facet that bends nothing would send h'. So diffraction moves no light's mean, as Ehrenfest's
+        theorem has it, and what effects add to the spread adds to it; how the two are correlated is left out.
+        """
+        o = self.optics
+        assert self.tables is not None
+        centre, (upper, lower) = over_height(o, delta, t, dr, jitter, facet, ghost)
+        nu, beta = nu_and_beta_bent(o, centre, (upper, lower), self.wavelength)
+        virtual, share = self.tables.sample(v, nu, beta)
+        # Power exp(2βh) over the height is a slope s of the density over x = h / half in [-1, 1].
+        slope = dr.clip(2.0 * beta * o.half_height, -0.9, 0.9)
+        x = (4.0 * w - 2.0 + slope) / (1.0 + dr.sqrt(dr.square(1.0 - slope) + 4.0 * slope * w))
+        hit = from_facet(o, delta, t, o.half_height * x, dr, jitter, facet, ghost)
+        part = 0.5 * (virtual / o.half_height - x)
+        hit = replace(hit, y=hit.y + part * (upper.y - lower.y), z=hit.z + part * (upper.z - lower.z), h=virtual)
+        return hit, density(o.beam, centre.rho, centre.spread, dr.exp) * -centre.falling * share
+
+    def _normal(self, u: list[Any], at: int) -> tuple[Any, Any]:
+        """Two draws of the normal law (Box-Muller); 1 − u lies in (0, 1]."""
+        r = dr.sqrt(-2.0 * dr.log(1.0 - u[at]))
+        sine, cosine = dr.sincos(2.0 * dr.pi * u[at + 1])
+        return r * cosine, r * sine
 
     def points(self, n: int, rng: np.random.Generator) -> list[Any]:
         """n points of a randomly shifted lattice, as ``dimensions`` arrays in [0, 1].

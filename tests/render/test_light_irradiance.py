@@ -134,10 +134,24 @@ def test_a_cylinder_lights_the_board(physics):
     assert 0.001 < total(light) < 0.2
 
 
-def test_effects_are_refused_by_name():
-    recording = replace(bench(), effects={"canting": {"pyr": 1.5}})
-    with pytest.raises(BenchsimError, match="canting"):
-        lit_map(recording)
+@pytest.mark.parametrize(
+    ("effects", "says"),
+    [
+        ({"cantering": {"pyr": 1.5}}, "cantering"),
+        ({"canting": {"pry": 1.5}}, "pry"),
+        ({"canting": {"pyr": np.nan}}, "finite"),
+        ({"facet-tilts": {"tilt_12": 1.0}}, "tilt_12"),
+        ({"facet-tilts": {"tilt_rms": 1.0, "tilt_2": 1.0}}, "not both"),
+        ({"second-surface": {"glass": -1.0}}, "glass"),
+        ({"window": {"win": -1.0}}, "win"),
+        ({"plume": {"plume": 1.0, "plume_width": 0.0}}, "plume_width"),
+        ({"pivot-offset": {"dr": -17.5}}, "dr"),
+    ],
+    ids=str,
+)
+def test_effects_that_cannot_be_drawn_are_refused_by_name(effects, says):
+    with pytest.raises(BenchsimError, match=says):
+        lit_map(replace(bench(), effects=effects))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,70 @@
+"""Where a ray that meets the board's plane meets its surface instead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim.bench.model import Recording
+from benchsim.bench.place import Placement
+from benchsim.render.laser import Vec, dot
+from benchsim.render.surface import Surface, surface
+from benchsim.render.tables import Table
+
+Array = NDArray[np.float64]
+
+STEPS = 5
+"""Of Newton's method; the field of height enters without its slope, so that each step leaves the slope's share."""
+
+
+@dataclass(frozen=True)
+class Landing:
+    """The board's surface, and its axes and the chief ray's components along them; triples of the rotor's frame."""
+
+    y_axis: Vec
+    z_axis: Vec
+    chief: tuple[Any, Any]
+    distance: Any
+    slope: tuple[Any, Any]
+    bow: tuple[Any, Any]
+    field: Table | None
+
+    def land(self, y: Any, z: Any, q: Vec, approach: Any) -> tuple[Any, Any, Any]:
+        """x, y, z of the hit in the board's frame, from the hit of its plane; ``approach`` is g·N.
+
+        A ray that runs along the surface has no honest answer; it is sought within what Newton's method reaches.
+        """
+        along_y = (self.chief[0] + dot(q, self.y_axis)) / approach
+        along_z = (self.chief[1] + dot(q, self.z_axis)) / approach
+        s = Surface(self.distance, self.slope, self.bow)
+        x: Any = 0.0 * y
+        for _ in range(STEPS):
+            at_y, at_z = y + x * along_y, z + x * along_z
+            height, by_y, by_z = s.smooth(at_y, at_z)
+            if self.field is not None:
+                height = height + self.field(at_y, at_z)[0]
+            x = x - (x - height) / (1.0 - by_y * along_y - by_z * along_z)
+        return x, y + x * along_y, z + x * along_z
+
+
+def landing(recording: Recording, placement: Placement, rotor: Array, chief: Array) -> Landing | None:
+    """The board's surface in a recording; None if it is the plane that it is meant to be.
+
+    ``rotor``: rows are the rotor's unit vectors; ``chief``: R in its frame.
+    """
+    s = surface(recording.effects, recording.fields)
+    if s.flat:
+        return None
+    _, ey, ez = (rotor @ placement.screen_rotation).T
+    return Landing(
+        tuple(ey.tolist()),
+        tuple(ez.tolist()),
+        (float(chief @ ey), float(chief @ ez)),
+        s.distance,
+        s.slope,
+        s.bow,
+        None if s.field is None else Table(s.field),
+    )
