@@ -8,7 +8,7 @@ both take them; the recording's file holds them as ``[fields.NAME]`` with one li
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,6 +116,19 @@ def field(knots: Sequence[Sequence[float] | Array], values: Any) -> Field:
     return Field(tuple(tuple(float(x) for x in k) for k in knots), tuple(tuple(row.ravel().tolist()) for row in table))
 
 
+def prepared(f: Field) -> Callable[..., Array]:
+    """`evaluate` of one field as a function of the coordinates alone, for many calls: the table is made once."""
+    lookup = RegularGridInterpolator(f.knots, np.moveaxis(f.table(), 0, -1))
+
+    def at(*coordinates: Any) -> Array:
+        values = np.broadcast_arrays(*(np.asarray(c, float) for c in coordinates))
+        held = np.stack([np.clip(c, k[0], k[-1]) for c, k in zip(values, f.knots, strict=True)], axis=-1)
+        found = lookup(held.reshape(-1, len(f.knots)))
+        return np.asarray(found.T.reshape(len(f.values), *values[0].shape))
+
+    return at
+
+
 def evaluate(f: Field, *coordinates: Any) -> Array:
     """Multilinear interpolation, held constant beyond the outermost knots.
 
@@ -128,8 +141,4 @@ def evaluate(f: Field, *coordinates: Any) -> Array:
     -------
     (components, ...) ndarray
     """
-    at = np.broadcast_arrays(*(np.asarray(c, float) for c in coordinates))
-    held = np.stack([np.clip(c, k[0], k[-1]) for c, k in zip(at, f.knots, strict=True)], axis=-1)
-    table = np.moveaxis(f.table(), 0, -1)
-    found = RegularGridInterpolator(f.knots, table)(held.reshape(-1, len(f.knots)))
-    return found.T.reshape(len(f.values), *at[0].shape)
+    return prepared(f)(*coordinates)

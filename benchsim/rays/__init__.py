@@ -1,15 +1,20 @@
 """The bench's own ray model, float64 and deterministic, one module each in the order of the light.
 
-`laser` (beam), `mirror` (turning facets), `screen` (board), `camera` (pixels); `sweep` joins them at one phase and
-gives the profiles of the time-averaged trace, `diffraction` and `profile` what they look like, `curve` the predicted
-trace.
+`laser` (beam), `mirror` (turning facets), `air`, `screen` (board), `camera` (pixels), `timing` (drift, shaking): each
+declares its own effects, which `effects` gathers. `sweep` joins them at one phase and gives the profiles of the
+time-averaged trace, `diffraction`, `profile` and `width` what they look like, `curve` the trace of a bench and
+`prediction` that of a recording's exposure.
 """
 
 from benchsim.rays.camera import board_points, pixel_rays, project, project_board, see
-from benchsim.rays.curve import irradiance, irradiance_profiles, predict, trace_curve
+from benchsim.rays.curve import irradiance, irradiance_profiles, trace_curve
+from benchsim.rays.effects import EFFECTS
+from benchsim.rays.prediction import ghost, predict
 
 __all__ = [
+    "EFFECTS",
     "board_points",
+    "ghost",
     "irradiance",
     "irradiance_profiles",
     "pixel_rays",

@@ -8,13 +8,13 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.model import Exposure, Laser, Mirror, Physics, Recording, Screen
-from benchsim.bench.place import Placement, SettingErrors, place
-from benchsim.rays import laser as source
+from benchsim.bench.model import Laser, Mirror, Physics, Screen
+from benchsim.bench.place import Placement
 from benchsim.rays import screen as board_plane
-from benchsim.rays.diffraction import fresnel_profile, scales
-from benchsim.rays.profile import adaptive, geometric_profile, refine_height, smear
-from benchsim.rays.sweep import PHASE_STEP, Bench, Profiles, axis_ray, profiles
+from benchsim.rays.profile import Profiles
+from benchsim.rays.sweep import PHASE_STEP, Bench, axis_ray, cuts, mixed
+from benchsim.rays.width import across as irradiance_across
+from benchsim.rays.width import widths
 
 Array = NDArray[np.float64]
 
@@ -24,50 +24,8 @@ MOST = 128
 FAINT = 1e-9
 """Share of a trace's brightest flux, and of the laser's power on the board, below which the mirror misses the beam."""
 
-
-def predict(recording: Recording, exposure: Exposure, errors: SettingErrors | None = None, samples: int = 96) -> Curve:
-    """Time-averaged trace of one exposure of a recording on the board.
-
-    Parameters
-    ----------
-    recording : Recording
-    exposure : Exposure
-    errors : SettingErrors, optional
-        True minus stated setting; default none.
-    samples : int
-        Points along the curve.
-
-    Returns
-    -------
-    Curve
-        See `trace_curve`.
-
-    Raises
-    ------
-    BenchsimError
-        If the recording's simulation contains effects, which this version does not model, and as `trace_curve`.
-    """
-    refuse_effects(recording)
-    try:
-        return trace_curve(
-            recording.laser,
-            recording.mirror,
-            recording.physics,
-            recording.screen,
-            place(recording.mirror, exposure, errors),
-            facet=exposure.facet,
-            samples=samples,
-        )
-    except BenchsimError as error:
-        raise BenchsimError(f"{exposure.name}: {error}") from None
-
-
-def refuse_effects(recording: Recording) -> None:
-    """Raise BenchsimError if the recording's simulation contains effects; this version models none."""
-    for name in recording.effects:
-        raise BenchsimError(
-            f"{recording.path.name}: effects.{name}: the ray model of this version does not model it; remove the table"
-        )
+SEARCH = (501, 4001)
+"""Phases of the half turn at which the board is looked for: the finer only where the coarser finds nothing."""
 
 
 def trace_curve(
@@ -109,13 +67,21 @@ def trace_curve(
     BenchsimError
         Laser below the horizon or behind the mirror; mirror that misses the beam; trace off the board.
     """
-    bench = Bench(laser, mirror, physics, screen, placement, facet)
+    return trace(Bench(laser, mirror, physics, screen, placement, facet), samples)
+
+
+def trace(bench: Bench, samples: int = 96, *, width: bool = True) -> Curve:
+    """Time-averaged trace of a bench with whatever effects its parts have; see `trace_curve`.
+
+    Where facets lean differently and the exposure is not gated, ``points`` is the mean of the light of all facets and
+    ``width`` that of all their profiles together. ``width`` false leaves it out (None), which saves half the time.
+    """
     check(bench)
     phase = sample_phases(bench, samples)
-    if not physics.beam:
-        return _ray_curve(bench, phase)
+    if not bench.physics.beam:
+        return _ray_curve(bench, phase, width=width)
     points, _, nodes = beam_profiles(bench, phase)
-    return Curve(points, _width(bench, nodes), nodes.flux, nodes.mean(nodes.phase))
+    return Curve(points, widths(bench, nodes) if width else None, nodes.flux, nodes.mean(nodes.phase))
 
 
 def check(bench: Bench) -> None:
@@ -135,63 +101,84 @@ def sample_phases(bench: Bench, samples: int) -> Array:
     BenchsimError
         If the ray misses the mirror at all phases, or never meets the board.
     """
-    p = bench.placement
-    grid = np.linspace(-np.pi / 2, np.pi / 2, 4001)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        light = axis_ray(bench, grid)
-        lit = light.reaches(p)
-        if bench.facets and not bench.physics.beam:
-            t = (light.x - p.centre) @ p.axis
-            off = np.linalg.norm(light.x - p.centre - t[:, None] * p.axis, axis=1) ** 2 - bench.mirror.radius**2
-            lit &= np.sqrt(np.maximum(off, 0.0)) <= bench.mirror.facet_width / 2
-        beyond = np.where(lit, board_plane.margin(bench.screen.size, light.board), np.inf)
-    if not lit.any():
-        raise BenchsimError(
-            "the mirror misses the beam or sends none of it toward the board; "
-            "mend the mirror's position or the laser's angles"
-        )
-    on = np.flatnonzero(beyond <= 0)
-    if len(on) == 0:
-        nearest = light.board[np.argmin(beyond)]
+    for count in SEARCH:
+        grid = np.linspace(-np.pi / 2, np.pi / 2, count)
+        beyond, board = _beyond(bench, grid)
+        on = np.flatnonzero(beyond <= 0)
+        if len(on):
+            break
+    else:
+        if not np.isfinite(beyond).any():
+            raise BenchsimError(
+                "the mirror misses the beam or sends none of it toward the board; "
+                "mend the mirror's position or the laser's angles"
+            )
+        nearest = board[np.argmin(beyond)]
         raise BenchsimError(
             f"the trace passes beside the board (nearest point y = {nearest[0]:.0f}, z = {nearest[1]:.0f} mm); "
             "mend the mirror's position, the laser's angles or the screen's size"
         )
     runs = np.split(on, np.flatnonzero(np.diff(on) > 1) + 1)
     run = min(runs, key=lambda r: np.min(np.abs(grid[r])))
-    first, last = _edge(bench, grid, run[0], -1), _edge(bench, grid, run[-1], 1)
-    dense = np.linspace(first, last, 400)
-    steps = np.linalg.norm(np.diff(axis_ray(bench, dense).board, axis=0), axis=1)
-    s = np.concatenate([[0.0], np.cumsum(steps)])
+    first, last = _edges(bench, grid, int(run[0]), int(run[-1]))
+    dense = np.linspace(first, last, 200)
+    steps = np.diff(axis_ray(bench, dense).board, axis=0)
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
     return np.interp(np.linspace(0.0, s[-1], samples), s, dense)
 
 
-def _edge(bench: Bench, grid: Array, index: int, way: int) -> float:
-    """Phase at which the axis ray leaves the board between two neighbours on the grid, to 1e-4 of their distance."""
-    other = index + way
-    inside = grid[index]
-    if not 0 <= other < len(grid):
-        return float(inside)
-    part = np.linspace(inside, grid[other], 257)
+def _beyond(bench: Bench, phase: Array) -> tuple[Array, Array]:
+    """How far beyond the board's edge the axis ray lands [mm], infinite where it does not, and where."""
+    p = bench.placement
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        light = axis_ray(bench, part)
-        out = ~(light.reaches(bench.placement) & (board_plane.margin(bench.screen.size, light.board) <= 0))
-    return float(part[max(int(np.argmax(out)) - 1, 0)] if out.any() else inside)
+        light = axis_ray(bench, phase)
+        lit = light.reaches(p)
+        if bench.facets and not bench.physics.beam:
+            rest = light.x - p.centre
+            along = rest @ p.axis
+            off = (rest * rest).sum(axis=-1) - along**2 - bench.radius**2
+            lit &= np.sqrt(np.maximum(off, 0.0)) <= bench.mirror.facet_width / 2
+        return np.where(lit, board_plane.margin(bench.screen.size, light.board), np.inf), light.board
 
 
-def _ray_curve(bench: Bench, phase: Array) -> Curve:
+def _edges(bench: Bench, grid: Array, first: int, last: int) -> tuple[float, float]:
+    """Phases at which the axis ray comes onto the board and leaves it, to 1e-3 of the grid's step, from inside."""
+    inside, ways = (first, last), (-1, 1)
+    out = [float(grid[i]) for i in inside]
+    beside = [
+        float(grid[i + w]) if 0 <= i + w < len(grid) else float(grid[i]) for i, w in zip(inside, ways, strict=True)
+    ]
+    for _ in range(2):
+        part = np.linspace(out, beside, 33)
+        off = _beyond(bench, part.ravel())[0].reshape(part.shape) > 0
+        for side in (0, 1):
+            k = int(np.argmax(off[:, side])) if off[:, side].any() else len(part)
+            out[side] = float(part[max(k - 1, 0), side])
+            beside[side] = float(part[min(k, len(part) - 1), side])
+    return out[0], out[1]
+
+
+def _ray_curve(bench: Bench, phase: Array, *, width: bool = True) -> Curve:
     ahead, behind = axis_ray(bench, phase + PHASE_STEP).board, axis_ray(bench, phase - PHASE_STEP).board
     speed = np.linalg.norm(ahead - behind, axis=1) / (2 * PHASE_STEP)
-    return Curve(axis_ray(bench, phase).board, np.zeros(len(phase)), bench.exposure_per_phase / speed, phase)
+    points, flux = axis_ray(bench, phase).board, bench.exposure_per_phase / speed
+    spread = np.full(len(phase), bench.parts.timing.shake)
+    tangent = tangents(points)
+    nodes = mixed(bench, cuts(bench, points, tangent, phase[:, None, None], 1, 1, kicks=False), points, tangent, 1)
+    if nodes.shift is not None and nodes.share is not None:
+        centre = (nodes.share * nodes.shift).sum(axis=1)
+        points, flux = points + centre[:, None] * left_of(tangent), nodes.flux
+        spread = np.hypot(spread, np.sqrt((nodes.share * (nodes.shift - centre[:, None]) ** 2).sum(axis=1)))
+    return Curve(points, spread if width else None, flux, phase)
 
 
-def _tangents(points: Array) -> Array:
+def tangents(points: Array) -> Array:
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     t = CubicSpline(s, points)(s, 1)
     return t / np.linalg.norm(t, axis=1, keepdims=True)
 
 
-def _left(tangent: Array) -> Array:
+def left_of(tangent: Array) -> Array:
     return np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
 
 
@@ -236,69 +223,28 @@ def beam_profiles(
     """
     points = axis_ray(bench, phase).board
     need = nodes_needed(bench)
+    start = phase[:, None, None]
     for t, h in ((across or need[0], 1), (across or need[0], along or need[1])):
-        tangent = _tangents(points)
-        nodes = profiles(bench, points, tangent, phase, t, h)
+        tangent = tangents(points)
+        nodes = cuts(bench, points, tangent, start, t, h, kicks=h > 1)
+        if h > 1:
+            nodes = mixed(bench, nodes, points, tangent, t)
         flux = nodes.flux
         brightest = np.nanmax(flux, initial=0.0)
-        bright = np.isfinite(flux) & (flux > FAINT * brightest)
+        bright = flux > FAINT * brightest
         reach = np.linalg.norm(points[-1] - points[0])
         if bright.sum() < 4 or brightest * reach < FAINT:
             raise BenchsimError(
                 "the mirror misses the beam; mend the mirror's position, its height or the laser's angles"
             )
-        nodes = Profiles(*(a[bright] for a in nodes))
+        if not bright.all():
+            nodes, points, tangent = nodes.only(bright), points[bright], tangent[bright]
         centre = nodes.mean(nodes.q)
-        points, tangent = points[bright] + centre[:, None] * _left(tangent[bright]), tangent[bright]
-        phase = nodes.mean(nodes.phase)
+        if nodes.shift is not None and nodes.share is not None:
+            centre = centre + (nodes.share * nodes.shift).sum(axis=1)
+        points = points + centre[:, None] * left_of(tangent)
+        start = nodes.phase
     return points, tangent, nodes._replace(q=nodes.q - centre[:, None, None])
-
-
-def _width(bench: Bench, nodes: Profiles) -> Array:
-    """Adaptive width about the mean; with diffraction on a few profiles, between which it is smooth."""
-    n = len(nodes.q)
-    if not bench.physics.diffraction:
-        q, light = refine_height(nodes, 4 + 2 * nodes.q.shape[2])
-        sigma = source.blur_sigma(bench.laser)
-        if sigma > 0:
-            q, light = smear(nodes, sigma, q, light)
-        return adaptive(q.reshape(n, -1), light.reshape(n, -1), np.zeros(n))[1]
-    few = np.unique(np.linspace(0, n - 1, min(n, 7)).round().astype(int))
-    some = Profiles(*(a[few] for a in nodes))
-    geometric, slit = scales(some, bench.laser.wavelength, bench.mirror.height)
-    reach = 2 * geometric + 5 * slit + 6 * source.blur_sigma(bench.laser) * some.lateral.max(axis=(1, 2))
-    count = 1 + 2 * int(np.ceil(np.max(2 * reach / slit)))
-    # Two samples per slit scale: the pattern times the weight is band-limited, so the sums converge exponentially.
-    grid = reach[:, None] * np.linspace(-1, 1, count)
-    width = adaptive(grid, _irradiance(bench, some, grid), np.zeros(len(few)))[1]
-    return CubicSpline(few, width)(np.arange(n))
-
-
-def _irradiance(bench: Bench, nodes: Profiles, q: Array) -> Array:
-    """Light per mm² at offsets q (profile, n), with diffraction and incoherent divergence as the bench has them."""
-
-    def sharp(at: Array) -> Array:
-        if bench.physics.diffraction:
-            return fresnel_profile(nodes, bench.laser.wavelength, bench.mirror.height, at)
-        return geometric_profile(nodes, at)
-
-    sigma = source.blur_sigma(bench.laser)
-    if sigma == 0:
-        return sharp(q)
-    reach = sigma * nodes.mean(nodes.lateral)[:, None]
-    geometric, slit = scales(nodes, bench.laser.wavelength, bench.mirror.height)
-    if bench.physics.diffraction and np.max(reach[:, 0] / slit) < 0.3:
-        # A blur finer than the pattern: a few shifted patterns, exact to the pattern's band limit.
-        x, w = np.polynomial.hermite_e.hermegauss(7)
-        return np.sum([wi * sharp(q - reach * xi) for xi, wi in zip(x, w / w.sum(), strict=True)], axis=0)
-    # Otherwise the sharp profile on a grid of its own, each of its samples spread into a Gaussian.
-    extent = 2 * geometric + (20 * slit if bench.physics.diffraction else 0.0)
-    step = np.minimum(0.4 * slit if bench.physics.diffraction else 0.02 * geometric, 0.6 * reach[:, 0])
-    count = int(np.ceil(np.max(extent / step)))
-    grid = extent[:, None] * np.linspace(-1, 1, 2 * count + 1)
-    light = sharp(grid) * (extent / count)[:, None]
-    spread = np.exp(-0.5 * ((q[:, :, None] - grid[:, None, :]) / reach[:, :, None]) ** 2)
-    return np.einsum("pqg,pg->pq", spread, light) / (np.sqrt(2 * np.pi) * reach)
 
 
 def irradiance_profiles(
@@ -337,8 +283,8 @@ def irradiance_profiles(
         raise BenchsimError("physics.beam: false, a single ray has no profile; set it to true")
     check(bench)
     points, _, nodes = beam_profiles(bench, sample_phases(bench, samples))
-    curve = Curve(points, _width(bench, nodes), nodes.flux, nodes.mean(nodes.phase))
-    return curve, _irradiance(bench, nodes, np.broadcast_to(q, (len(points), len(q))))
+    curve = Curve(points, widths(bench, nodes), nodes.flux, nodes.mean(nodes.phase))
+    return curve, irradiance_across(bench, nodes, np.broadcast_to(q, (len(points), len(q))))
 
 
 def irradiance(

@@ -1,14 +1,142 @@
-"""The turning mirror: points and normals of a facet or of the cylinder, and reflection."""
+"""The turning mirror: points and normals of a facet or of the cylinder, reflection, and the glass before a coating."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.special import ndtri
 
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.fields import Field, evaluate
+from benchsim.bench.model import Mirror
 from benchsim.bench.place import Placement
-from benchsim.rays.laser import dot
+from benchsim.rays.laser import dot, outer
 
 Array = NDArray[np.float64]
+Effects = Mapping[str, Mapping[str, float]]
+
+MOST_FACETS = 360
+
+EFFECTS: Mapping[str, tuple[str, ...]] = {
+    "facets": ("facets", "size_mm"),
+    "pivot-offset": ("dr",),
+    "canting": ("pyr",),
+    "facet-tilts": ("tilt_rms", *(f"tilt_{k}" for k in range(MOST_FACETS))),
+    "axis-wobble": ("wob_c", "wob_s"),
+    "axis-tilt": ("ped_x", "ped_y"),
+    "azimuth-offset": ("az_enc",),
+    "second-surface": ("glass",),
+    "facet-curvature": ("fcurv",),
+}
+"""Effects of the mirror, with their parameters; a mirror has as many ``tilt_k`` as facets."""
+
+GLASS = 1.515
+"""Refractive index of BK7 at 633 nm (Schott: 1.51509)."""
+
+
+@dataclass(frozen=True, eq=False)
+class MirrorEffects:
+    """What the mirror does beyond the recording's [mirror]; nothing by default. See `effects` for the signs.
+
+    Attributes
+    ----------
+    pivot : float
+        Added to r [mm]; the facets keep their width.
+    pedestal : (3,) rad
+        Turn of axis and body about world x, y, z through C (a rotation vector).
+    glass : float
+        Thickness before the coating [mm]; its front face stands at r.
+    curvature : float
+        Of the facets, > 0 convex [1/mm].
+    phases : (p,) array [rad]
+    leans : (facets, p) array [rad], or None
+        Lean of each facet's normal toward +axis, by the turn of that normal from the aimed one; None without any.
+    facets : float
+        Amplitude of the facets where the physics has a cylinder.
+    """
+
+    pivot: float = 0.0
+    pedestal: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    glass: float = 0.0
+    curvature: float = 0.0
+    phases: Array | None = None
+    leans: Array | None = None
+    facets: float = 0.0
+
+    def lean(self, facet: int | None, phase: Array) -> Array | float:
+        """Lean of one facet, or (None) the mean of all, at phases [rad]."""
+        if self.leans is None or self.phases is None:
+            return 0.0
+        row = self.leans.mean(axis=0) if facet is None else self.leans[facet]
+        return float(row[0]) if len(row) == 1 else np.interp(phase, self.phases, row)
+
+    def spread(self, phase: Array) -> Array | None:
+        """Each facet's lean less the mean of all at phases (n,): (n, facets) [rad]; None if all are equal."""
+        if self.leans is None or self.phases is None:
+            return None
+        off = self.leans - self.leans.mean(axis=0)
+        if np.abs(off).max() < 1e-15:
+            return None
+        return np.stack([np.interp(phase, self.phases, row) for row in off], axis=1)
+
+
+def effects(tables: Effects, fields: Mapping[str, Field], mirror: Mirror, *, gated: bool = False) -> MirrorEffects:
+    """The mirror's share of a recording's effects (file units: mrad, mm, 1/m) and fields.
+
+    ``tilt_rms`` alone widens the trace as facets would whose tilts have that rms (the quantiles of a normal
+    distribution); it moves no gated exposure, for it does not say which facet leans where.
+
+    Raises
+    ------
+    BenchsimError
+        ``tilt_k`` of a facet that the mirror has not, or together with ``tilt_rms``.
+    """
+
+    def of(name: str, key: str, unit: float = 1e-3) -> float:
+        return unit * tables.get(name, {}).get(key, 0.0)
+
+    n = mirror.facets
+    k = np.arange(n)
+    lean = np.full(n, of("canting", "pyr"))
+    turn = 2 * np.pi * k / n
+    lean += of("axis-wobble", "wob_c") * np.cos(turn) + of("axis-wobble", "wob_s") * np.sin(turn)
+    tilts = dict(tables.get("facet-tilts", {}))
+    rms = 1e-3 * tilts.pop("tilt_rms", 0.0)
+    for key, value in tilts.items():
+        facet = int(key.removeprefix("tilt_"))
+        if facet >= n:
+            raise BenchsimError(f"effects.facet-tilts.{key}: the mirror has {n} facets, 0 to {n - 1}; mend the number")
+        lean[facet] += 1e-3 * value
+    if rms and any(tilts.values()):
+        raise BenchsimError("effects.facet-tilts: give tilt_rms or the facets' own tilts, not both")
+    if rms and not gated:
+        pattern = ndtri((k + 0.5) / n)
+        lean += rms * pattern / np.sqrt(np.mean(pattern**2))
+    phases, leans = np.zeros(1), lean[:, None]
+    if "lean" in fields:
+        phases = np.array(fields["lean"].knots[0])
+        leans = leans + evaluate(fields["lean"], phases[None, :], k[:, None])[0]
+    return MirrorEffects(
+        of("pivot-offset", "dr", 1.0),
+        (of("axis-tilt", "ped_x"), of("axis-tilt", "ped_y"), of("azimuth-offset", "az_enc")),
+        of("second-surface", "glass", 1.0),
+        of("facet-curvature", "fcurv"),
+        phases,
+        leans if leans.any() else None,
+        of("facets", "facets", 1.0),
+    )
+
+
+def turned(placement: Placement, polygon: MirrorEffects) -> Placement:
+    """The placement with the mirror's axis and body turned with its pedestal; laser and aim stay."""
+    if not any(polygon.pedestal):
+        return placement
+    turn = Rotation.from_rotvec(polygon.pedestal).as_matrix()
+    return replace(placement, axis=turn @ placement.axis, normal=turn @ placement.normal)
 
 
 def normal_at(placement: Placement, phase: Array) -> Array:
@@ -24,10 +152,18 @@ def normal_at(placement: Placement, phase: Array) -> Array:
     -------
     (..., 3) ndarray
     """
-    e = np.asarray(phase)[..., None]
-    along = (placement.axis @ placement.normal) * placement.axis
-    across = np.cross(placement.axis, placement.normal)
-    return along + np.cos(e) * (placement.normal - along) + np.sin(e) * across
+    return _turn(placement, phase)[0]
+
+
+def _turn(placement: Placement, phase: Array) -> tuple[Array, Array]:
+    """Normal, and axis × normal."""
+    e = np.asarray(phase)
+    a, n = placement.axis, placement.normal
+    lift = (a @ n) * a
+    flat = n - lift
+    across = np.array([a[1] * n[2] - a[2] * n[1], a[2] * n[0] - a[0] * n[2], a[0] * n[1] - a[1] * n[0]])
+    c, s = np.cos(e), np.sin(e)
+    return outer(c, flat) + outer(s, across) + lift, outer(c, across) - outer(s, flat)
 
 
 def facet_point(placement: Placement, radius: float, normal: Array, t: Array, h: Array) -> Array:
@@ -51,9 +187,59 @@ def facet_point(placement: Placement, radius: float, normal: Array, t: Array, h:
     return placement.centre + radius * normal + t * np.cross(a, normal) + h * a
 
 
+def surface(
+    placement: Placement,
+    radius: float,
+    curvature: float,
+    phase: Array,
+    lean: Array | float,
+    t: Array,
+    h: Array,
+    depth: float = 0.0,
+) -> tuple[Array, Array, Array | None]:
+    """Points and normals of a facet that may lean about its centre and be curved.
+
+    Parameters
+    ----------
+    placement : Placement
+    radius, curvature : float [mm, 1/mm]
+    phase : (...) array [rad]
+    lean : float or (...) array [rad]
+    t, h : arrays, broadcast against ``phase`` [mm]
+    depth : float
+        How far behind the front face the surface lies [mm].
+
+    Returns
+    -------
+    x : (..., 3) ndarray [mm]
+    normal : (..., 3) ndarray
+        Unit.
+    area : (...) ndarray or None
+        Area of the surface per dt dh; None where it is 1.
+    """
+    normal, across = _turn(placement, phase)
+    along: Array = placement.axis
+    x = placement.centre + radius * normal
+    if not (np.ndim(lean) == 0 and lean == 0):
+        c, s = np.cos(lean), np.sin(lean)
+        if np.ndim(lean):
+            c, s = c[..., None], s[..., None]
+        normal, along = c * normal + s * along, c * along - s * normal
+    th, hh = np.asarray(t, float)[..., None], np.asarray(h, float)[..., None]
+    if depth:
+        x = x - depth * normal
+    x = x + th * across + hh * along
+    if not curvature:
+        return x, normal, None
+    x = x - 0.5 * curvature * (th * th + hh * hh) * normal
+    normal = normal + curvature * (th * across + hh * along)
+    area = np.sqrt(dot(normal, normal))
+    return x, normal / area[..., None], area
+
+
 def reflect(direction: Array, normal: Array) -> Array:
     """Mirror directions in planes of unit normal; lengths are kept."""
-    return direction - 2.0 * dot(direction, normal)[..., None] * normal
+    return direction - (2.0 * dot(direction, normal))[..., None] * normal
 
 
 def meet_facet_plane(placement: Placement, radius: float, normal: Array, point: Array, direction: Array) -> Array:
@@ -75,4 +261,63 @@ def meet_facet_plane(placement: Placement, radius: float, normal: Array, point: 
         Infinite or NaN where the ray runs along the plane.
     """
     s = (radius - dot(normal, point - placement.centre)) / dot(normal, direction)
-    return point + s[..., None] * direction
+    return point + outer(s, direction)
+
+
+def refracted(direction: Array, normal: Array, index: float = GLASS) -> tuple[Array, Array, Array]:
+    """Snell's law for light that enters a medium of the index from air.
+
+    Parameters
+    ----------
+    direction : (..., 3) array
+        Of travel, of any length.
+    normal : (..., 3) array
+        Unit, against the light.
+    index : float
+
+    Returns
+    -------
+    inside : (..., 3) ndarray
+        Unit.
+    cosine : (...) ndarray
+        Of the angle to the normal, inside.
+    reflectance : (...) ndarray
+        Fresnel's, of unpolarised light.
+    """
+    unit = direction / np.sqrt(dot(direction, direction))[..., None]
+    outside = -dot(unit, normal)
+    cosine = np.sqrt(1.0 - (1.0 - outside**2) / index**2)
+    inside = unit / index + (outside / index - cosine)[..., None] * normal
+    s = (outside - index * cosine) / (outside + index * cosine)
+    p = (index * outside - cosine) / (index * outside + cosine)
+    return inside, cosine, 0.5 * (s * s + p * p)
+
+
+def through_glass(
+    thickness: float, coating: Array, normal: Array, direction_at: Callable[[Array], Array]
+) -> tuple[Array, Array, Array]:
+    """Light that reaches points of a coating through the plane-parallel glass before it, and leaves again.
+
+    The glass is taken to reach beyond the coating on all sides, and its front face as parallel to the coating.
+
+    Parameters
+    ----------
+    thickness : float [mm]
+    coating, normal : (..., 3) array
+    direction_at : function
+        Direction of the incoming light through points (..., 3) of the front face.
+
+    Returns
+    -------
+    entry, leave : (..., 3) ndarray [mm]
+        Where it enters and leaves the front face.
+    passed : (...) ndarray
+        Share of the light that passes the front face both ways.
+    """
+    entry = coating + thickness * normal
+    # Each round shrinks the error by thickness × curvature, some 2e-3.
+    for _ in range(4):
+        inside, cosine, reflectance = refracted(direction_at(entry), normal)
+        entry = coating - (thickness / cosine)[..., None] * inside
+    leave = coating + (thickness / cosine)[..., None] * reflect(inside, normal)
+    return entry, leave, (1.0 - reflectance) ** 2

@@ -2,15 +2,53 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
-
-from benchsim.rays.sweep import Profiles
 
 Array = NDArray[np.float64]
 
 
-def adaptive(q: Array, light: Array, centre: Array | None = None, iterations: int = 30) -> tuple[Array, Array]:
+class Profiles(NamedTuple):
+    """Nodes of profiles across a trace: axes are (profile, t, h).
+
+    ``q`` [mm] where the light from a node cuts the profile's line, ``weight`` its light per mm of the curve, ``phase``
+    [rad] when; ``lateral`` [mm/rad] how far a turn of the reflected ray across its motion moves q; ``chirp`` [1/mm]
+    turns a distance in q into a turn of the ray along the facet's height. Where the facets lean differently the nodes
+    are those of the mean lean, and each facet has the same profile moved by ``shift`` (profile, facet) [mm] with
+    ``share`` of the light; both are None otherwise.
+    """
+
+    q: Array
+    weight: Array
+    phase: Array
+    lateral: Array
+    chirp: Array
+    shift: Array | None = None
+    share: Array | None = None
+
+    @property
+    def flux(self) -> Array:
+        """Light per mm of the curve, (profile,)."""
+        return np.asarray(self.weight.sum(axis=(1, 2)))
+
+    def mean(self, values: Array) -> Array:
+        """Flux-weighted mean over the nodes of a profile, (profile,)."""
+        return np.asarray((self.weight * values).sum(axis=(1, 2)) / self.flux)
+
+    def only(self, which: NDArray[np.generic] | slice) -> Profiles:
+        """The profiles of an index."""
+        q, weight, phase, lateral, chirp = (a[which] for a in self[:5])
+        shift = None if self.shift is None else self.shift[which]
+        share = None if self.share is None else self.share[which]
+        return Profiles(q, weight, phase, lateral, chirp, shift, share)
+
+
+def adaptive(
+    q: Array, light: Array, centre: Array | None = None, iterations: int = 30, blur: Array | float = 0.0
+) -> tuple[Array, Array]:
     """Adaptive Gaussian-weighted moments: the Gaussian that matches the profile under its own weight.
 
     Centre μ and width σ solve Σ W L (q − μ) = 0 and 2 Σ W L (q − μ)² = σ² Σ W L with W = exp(−(q − μ)²/2σ²): for a
@@ -25,6 +63,8 @@ def adaptive(q: Array, light: Array, centre: Array | None = None, iterations: in
     centre : (m,) array, optional
         Hold μ here, for instance at the mean, and solve for σ alone.
     iterations : int
+    blur : float, or array that broadcasts against q
+        rms of a Gaussian into which the light of each point is spread [mm]; the sums over it are closed forms.
 
     Returns
     -------
@@ -33,21 +73,28 @@ def adaptive(q: Array, light: Array, centre: Array | None = None, iterations: in
     total = light.sum(axis=1)
     mu = (light * q).sum(axis=1) / total if centre is None else np.asarray(centre, float)
     near = np.abs(q - mu[:, None])
+    spread = np.asarray(blur, float) ** 2
     # A start from the mean absolute deviation converges where the variance does not exist.
-    var = (1.25 * (light * near).sum(axis=1) / total) ** 2
+    var = (1.25 * (light * near).sum(axis=1) / total) ** 2 + (light * spread).sum(axis=1) / total
     floor = 1e-24
+    d = q - mu[:, None]
     for _ in range(iterations):
-        d = q - mu[:, None]
-        w = light * np.exp(-0.5 * d**2 / np.maximum(var, floor)[:, None])
+        v = np.maximum(var, floor)[:, None]
+        # What the weight leaves of a point's Gaussian is a Gaussian: less light, drawn toward the centre, narrower.
+        left = v / (v + spread)
+        w = light * np.sqrt(left) * np.exp(-0.5 * d**2 / (v + spread))
         s = w.sum(axis=1)
-        shift = (w * d).sum(axis=1) / s if centre is None else np.zeros_like(mu)
-        weighted = (w * d**2).sum(axis=1) / s - shift**2
+        drawn = left * d
+        shift = (w * drawn).sum(axis=1) / s if centre is None else np.zeros_like(mu)
+        weighted = (w * (drawn**2 + left * spread)).sum(axis=1) / s - shift**2
         # Exact in one step for a Gaussian: 1/var_profile = 1/var_weighted − 1/var_weight.
         rest = 1.0 / np.maximum(weighted, floor) - 1.0 / np.maximum(var, floor)
         new = np.clip(1.0 / np.maximum(rest, floor), var / 4, 4 * var + floor)
-        mu = mu + 2.0 * shift
         done = np.max(np.abs(new - var) / np.maximum(var, floor), initial=0.0) < 1e-12
         var = new
+        if centre is None:
+            mu = mu + 2.0 * shift
+            d = q - mu[:, None]
         if done and np.max(np.abs(shift), initial=0.0) < 1e-12:
             break
     return mu, np.sqrt(var)
@@ -62,10 +109,15 @@ def refine_height(nodes: Profiles, rows: int) -> tuple[Array, Array]:
     -------
     q, light : (profile, t, rows) ndarray
     """
-    u, w = np.polynomial.legendre.leggauss(nodes.q.shape[2])
-    v, z = np.polynomial.legendre.leggauss(rows)
-    carry = interpolation(u, v)
+    w, z, carry = _finer(nodes.q.shape[2], rows)
     return nodes.q @ carry.T, np.maximum((nodes.weight / w) @ carry.T, 0.0) * z
+
+
+@lru_cache(maxsize=32)
+def _finer(along: int, rows: int) -> tuple[Array, Array, Array]:
+    u, w = np.polynomial.legendre.leggauss(along)
+    v, z = np.polynomial.legendre.leggauss(rows)
+    return w, z, interpolation(u, v)
 
 
 def interpolation(nodes: Array, new: Array) -> Array:
@@ -73,27 +125,6 @@ def interpolation(nodes: Array, new: Array) -> Array:
     legendre = np.polynomial.legendre
     degree = len(nodes) - 1
     return legendre.legvander(new, degree) @ np.linalg.inv(legendre.legvander(nodes, degree))
-
-
-def smear(nodes: Profiles, sigma: float, q: Array, light: Array, points: int = 21) -> tuple[Array, Array]:
-    """Split each node's light over a Gaussian turn of its ray (incoherent divergence).
-
-    Parameters
-    ----------
-    nodes : Profiles
-    sigma : float
-        rms turn [rad].
-    q, light : (profile, t, h) array
-    points : int
-        Gauss–Hermite points.
-
-    Returns
-    -------
-    q, light : (profile, t, h, points) ndarray
-    """
-    x, w = np.polynomial.hermite_e.hermegauss(points)
-    reach = sigma * nodes.lateral.mean(axis=2, keepdims=True)
-    return q[..., None] + reach[..., None] * x, light[..., None] * (w / w.sum())
 
 
 def geometric_profile(nodes: Profiles, q: Array, columns: int = 48, rows: int = 12) -> Array:

@@ -1,18 +1,89 @@
-"""The flat board: where rays meet it, in its own coordinates."""
+"""The board: where rays meet its surface, in its own coordinates.
+
+The surface stands x = sx + st_z y + st_y z + ½ (bow_y y² + bow_z z²) + field(y, z) over the board's plane, toward the
+mirror; y, z and x are the board's own axes, which roll with it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from benchsim.bench.fields import Field, prepared
 from benchsim.bench.place import Placement
 from benchsim.rays.laser import dot
 
 Array = NDArray[np.float64]
+Effects = Mapping[str, Mapping[str, float]]
+
+EFFECTS: Mapping[str, tuple[str, ...]] = {
+    "screen-distance": ("sx",),
+    "screen-tilt": ("st_y", "st_z"),
+    "screen-bow": ("bow_y", "bow_z"),
+    "screen-rotation": ("srot",),
+}
+"""Effects of the board on the light, with their parameters; the errors of its print are in `camera`."""
 
 
-def meet(placement: Placement, x: Array, direction: Array) -> tuple[Array, Array]:
-    """Where rays meet the board's plane.
+@dataclass(frozen=True, eq=False)
+class BoardEffects:
+    """How the board differs from the plane that the recording states; nothing by default.
+
+    Attributes
+    ----------
+    distance : float [mm]
+    slope : (along y, along z)
+    bow : (along y, along z) [1/mm]
+    height : function of (y, z) [mm] that gives a height [mm], or None
+    turn : float
+        About the board's own x, marks and all [rad].
+    """
+
+    distance: float = 0.0
+    slope: tuple[float, float] = (0.0, 0.0)
+    bow: tuple[float, float] = (0.0, 0.0)
+    height: Callable[..., Array] | None = None
+    turn: float = 0.0
+
+    @property
+    def flat(self) -> bool:
+        """Whether the surface is the plane x = 0."""
+        return not (self.distance or any(self.slope) or any(self.bow)) and self.height is None
+
+    def slopes(self, y: Array, z: Array) -> tuple[Array, Array]:
+        """Slopes of the surface without its field, along y and z."""
+        return self.slope[0] + self.bow[0] * y, self.slope[1] + self.bow[1] * z
+
+
+def effects(tables: Effects, fields: Mapping[str, Field]) -> BoardEffects:
+    """The board's share of a recording's effects (file units: mm, mrad, 1/m) and fields."""
+
+    def of(name: str, key: str, unit: float = 1e-3) -> float:
+        return unit * tables.get(name, {}).get(key, 0.0)
+
+    return BoardEffects(
+        of("screen-distance", "sx", 1.0),
+        (of("screen-tilt", "st_z"), of("screen-tilt", "st_y")),
+        (of("screen-bow", "bow_y"), of("screen-bow", "bow_z")),
+        prepared(fields["height"]) if "height" in fields else None,
+        of("screen-rotation", "srot"),
+    )
+
+
+def turned(placement: Placement, board: BoardEffects) -> Placement:
+    """The placement with the board turned about its own x."""
+    if not board.turn:
+        return placement
+    turn = Rotation.from_rotvec([board.turn, 0.0, 0.0]).as_matrix()
+    return replace(placement, screen_rotation=placement.screen_rotation @ turn)
+
+
+def meet(placement: Placement, x: Array, direction: Array, surface: BoardEffects | None = None) -> tuple[Array, Array]:
+    """Where rays meet the board.
 
     Parameters
     ----------
@@ -21,6 +92,8 @@ def meet(placement: Placement, x: Array, direction: Array) -> tuple[Array, Array
         Points on the rays, world frame.
     direction : (..., 3) array
         Directions of travel, of any length.
+    surface : BoardEffects, optional
+        Default the plane.
 
     Returns
     -------
@@ -30,11 +103,34 @@ def meet(placement: Placement, x: Array, direction: Array) -> tuple[Array, Array
         Path from x in units of |direction|. It is positive and ``facing(direction) < 0`` for light that
         reaches the front of the board; the caller checks.
     """
-    front = placement.screen_rotation[:, 0]
+    front, along_y, along_z = placement.screen_rotation.T
+    off = x - placement.screen_origin
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = dot(placement.screen_origin - x, front) / dot(direction, front)
-        hit = x + s[..., None] * direction
-    return (hit - placement.screen_origin) @ placement.screen_rotation[:, 1:], s
+        height, falling = dot(off, front), dot(direction, front)
+        y0, z0 = dot(off, along_y), dot(off, along_z)
+        to_y, to_z = dot(direction, along_y), dot(direction, along_z)
+        s = -height / falling
+        if surface is not None and not surface.flat:
+            s = _on_surface(surface, s, (height, y0, z0), (falling, to_y, to_z))
+        y, z = y0 + s * to_y, z0 + s * to_z
+    return np.moveaxis(np.stack([y, z]), 0, -1), s
+
+
+def _on_surface(
+    surface: BoardEffects, s: Array, start: tuple[Array, Array, Array], ray: tuple[Array, Array, Array]
+) -> Array:
+    """Newton's method on the surface; the field's slope is left out, so that it only shrinks the error each round."""
+    for _ in range(30):
+        y, z = start[1] + s * ray[1], start[2] + s * ray[2]
+        slope_y, slope_z = surface.slopes(y, z)
+        high = surface.distance + 0.5 * (y * (surface.slope[0] + slope_y) + z * (surface.slope[1] + slope_z))
+        if surface.height is not None:
+            high = high + surface.height(y, z)[0]
+        step = (high - start[0] - s * ray[0]) / (ray[0] - slope_y * ray[1] - slope_z * ray[2])
+        s = s + step
+        if not np.fmax.reduce(np.abs(step * ray[0]).ravel(), initial=0.0) > 1e-10:
+            break
+    return s
 
 
 def to_world(placement: Placement, board: Array) -> Array:
@@ -44,7 +140,7 @@ def to_world(placement: Placement, board: Array) -> Array:
 
 def facing(placement: Placement, direction: Array) -> Array:
     """Component of directions along the board's front normal: negative for light that falls on the front."""
-    return direction @ placement.screen_rotation[:, 0]
+    return dot(direction, placement.screen_rotation[:, 0])
 
 
 def margin(size: tuple[float, float], board: Array) -> Array:

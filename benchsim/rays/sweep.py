@@ -12,8 +12,8 @@ so the moments are smooth in every parameter.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,10 +21,13 @@ from numpy.typing import NDArray
 
 from benchsim.bench.model import Laser, Mirror, Physics, Screen
 from benchsim.bench.place import Placement
+from benchsim.rays import air as medium
 from benchsim.rays import laser as source
 from benchsim.rays import mirror as optic
 from benchsim.rays import screen as board_plane
+from benchsim.rays.effects import Elements
 from benchsim.rays.laser import dot
+from benchsim.rays.profile import Profiles
 
 Array = NDArray[np.float64]
 
@@ -32,9 +35,13 @@ PHASE_STEP = 1e-5
 """Step of the central difference in phase (rad): truncation and rounding are both near 1e-10 of the derivative."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bench:
-    """What one exposure's light meets. ``facet`` is the gated facet, or None."""
+    """What one exposure's light meets.
+
+    ``facet`` is the gated facet, or None; ``parts`` what the elements do beyond their tables, and ``placement`` where
+    they then stand (`Elements.turned`).
+    """
 
     laser: Laser
     mirror: Mirror
@@ -42,11 +49,27 @@ class Bench:
     screen: Screen
     placement: Placement
     facet: int | None = None
+    parts: Elements = field(default_factory=Elements)
 
     @property
     def facets(self) -> bool:
         """Whether light is reflected by flat facets; otherwise by a cylinder of the same r."""
         return self.physics.facets and self.mirror.shape == "polygon"
+
+    @property
+    def radius(self) -> float:
+        """Distance of the reflecting surface (before a coating: of its glass) from the axis of rotation [mm]."""
+        return self.mirror.radius + self.parts.polygon.pivot
+
+    @cached_property
+    def beam(self) -> source.Beam:
+        """The beam where it stands."""
+        return source.beam(self.laser, self.placement, self.parts.source)
+
+    @cached_property
+    def shift(self) -> Array | None:
+        """Displacement of the light on the board, (2,) [mm]."""
+        return self.parts.timing.on_board(self.placement)
 
     @property
     def exposure_per_phase(self) -> float:
@@ -80,13 +103,21 @@ class Light(NamedTuple):
         )
 
 
-def _onward(bench: Bench, x: Array, normal: Array, incoming: Array) -> Light:
+def _onward(bench: Bench, x: Array, normal: Array, incoming: Array, leave: Array | None = None) -> Light:
+    """Light from the mirror's points x, or from where it leaves the glass, on to the board."""
+    p, parts = bench.placement, bench.parts
     outgoing = optic.reflect(incoming, normal)
-    board, path = board_plane.meet(bench.placement, x, outgoing)
+    start = x if leave is None else leave
+    line = start, outgoing
+    if not parts.air.still:
+        line = medium.carry(parts.air, p, start, outgoing)
+    board, path = board_plane.meet(p, *line, parts.board)
+    if bench.shift is not None:
+        board = board + bench.shift
     return Light(x, normal, incoming, outgoing, board, path)
 
 
-def axis_ray(bench: Bench, phase: Array) -> Light:
+def axis_ray(bench: Bench, phase: Array, lean: Array | float = 0.0, *, front: bool = False) -> Light:
     """The single ray of ``physics.beam = false``, at each phase.
 
     With facets it is fixed along the laser's axis and meets the facet's plane; the facet's edges are not applied here.
@@ -97,23 +128,74 @@ def axis_ray(bench: Bench, phase: Array) -> Light:
     bench : Bench
     phase : (...) array
         Phase of the reflecting facet [rad].
+    lean : float or (...) array
+        Added to the mean facet's lean [rad].
+    front : bool
+        The ray that the front of the mirror's glass reflects.
     """
-    p = bench.placement
-    normal = optic.normal_at(p, phase)
-    incoming = np.broadcast_to(p.laser_direction, normal.shape)
+    p, polygon = bench.placement, bench.parts.polygon
+    lean = lean + polygon.lean(bench.facet, phase)
+    direction = bench.beam.centre
+    zero = np.zeros(())
+    x, normal, _ = optic.surface(p, bench.radius, 0.0, phase, lean, zero, zero)
+    incoming = np.broadcast_to(direction, normal.shape)
     if bench.facets:
-        x = optic.meet_facet_plane(p, bench.mirror.radius, normal, p.laser_point, p.laser_direction)
-    else:
-        x = p.centre + bench.mirror.radius * normal
-    return _onward(bench, x, normal, incoming)
+        # On the facet's plane, then on its sag there: the ray is fixed and the facet turns.
+        s = (dot(normal, x) - dot(normal, p.laser_point)) / dot(normal, direction)
+        at = p.laser_point + source.outer(s, direction)
+        if polygon.curvature:
+            off = at - x
+            normal = normal + polygon.curvature * off
+            normal = normal / np.sqrt(dot(normal, normal))[..., None]
+            sag = 0.5 * polygon.curvature * dot(off, off)
+            at = at - source.outer(sag / dot(normal, direction), direction)
+        x = at
+    if not polygon.glass or front:
+        return _onward(bench, x, normal, incoming)
+    inside, cosine, _ = optic.refracted(incoming, normal)
+    back = x + (polygon.glass / cosine)[..., None] * (inside + optic.reflect(inside, normal))
+    return _onward(bench, x, normal, incoming, back)
 
 
-def beam_ray(bench: Bench, phase: Array, t: Array, h: Array) -> Light:
-    """The beam's ray that meets the point (t, h) of the facet at a phase; for a cylinder t is 0."""
-    p = bench.placement
-    normal = optic.normal_at(p, phase)
-    x = optic.facet_point(p, bench.mirror.radius, normal, t, h)
-    return _onward(bench, x, normal, source.direction(bench.laser.curvature, p.laser_point, p.laser_direction, x))
+def beam_ray(bench: Bench, phase: Array, t: Array, h: Array, lean: Array | float = 0.0) -> Light:
+    """The beam's ray that meets the point (t, h) of the facet at a phase; for a cylinder t is 0.
+
+    ``lean`` is added to the mean facet's. Behind glass (t, h) is the point of the coating and ``x`` where the light
+    enters.
+    """
+    return _beam_light(bench, phase, t, h, lean)[0]
+
+
+def _beam_light(
+    bench: Bench,
+    phase: Array,
+    t: Array,
+    h: Array,
+    lean: Array | float = 0.0,
+    *,
+    front: bool = False,
+    power: bool = False,
+) -> tuple[Light, Array | float]:
+    """The ray, and with ``power`` the power per dt dh that it brings to the board."""
+    p, polygon = bench.placement, bench.parts.polygon
+    lean = lean + polygon.lean(bench.facet, phase)
+    glass = 0.0 if front else polygon.glass
+    x, normal, area = optic.surface(p, bench.radius, polygon.curvature, phase, lean, t, h, glass)
+    leave, passed = None, None
+    if glass:
+        x, leave, passed = optic.through_glass(glass, x, normal, lambda at: bench.beam.light(at)[0])
+    incoming, density = bench.beam.light(x)
+    light = _onward(bench, x, normal, incoming, leave)
+    if not power:
+        return light, 0.0
+    falls = density(normal)
+    if area is not None:
+        falls = falls * area
+    if passed is not None:
+        falls = falls * passed
+    if front:
+        falls = falls * optic.refracted(incoming, normal)[2]
+    return light, falls
 
 
 @lru_cache(maxsize=32)
@@ -129,43 +211,33 @@ def facet_nodes(bench: Bench, across: int, along: int) -> tuple[Array, Array, Ar
     t : (across, 1) ndarray [mm]
     h : (1, along) ndarray [mm]
     weight : (across, along) ndarray [mm²]
-        For a cylinder a single t = 0 with weight r, the width of surface that a radian of phase sweeps.
+        For a cylinder a single t = 0 with weight r, the width of surface that a radian of phase sweeps. A single ray
+        has one node of weight 1.
     """
+    if not bench.physics.beam:
+        return np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1))
     u, w = _gauss(along)
     half = bench.mirror.height / 2
     if not bench.facets:
-        return np.zeros((1, 1)), half * u[None, :], bench.mirror.radius * half * w[None, :]
+        return np.zeros((1, 1)), half * u[None, :], bench.radius * half * w[None, :]
     v, z = _gauss(across)
     wide = bench.mirror.facet_width / 2
     return wide * v[:, None], half * u[None, :], wide * half * np.outer(z, w)
 
 
-class Profiles(NamedTuple):
-    """Nodes of profiles across a trace: axes are (profile, t, h).
-
-    ``q`` [mm] where the light from a node cuts the profile's line, ``weight`` its light per mm of the curve, ``phase``
-    [rad] when; ``lateral`` [mm/rad] how far a turn of the reflected ray across its motion moves q; ``chirp`` [1/mm]
-    turns a distance in q into a turn of the ray along the facet's height.
-    """
-
-    q: Array
-    weight: Array
-    phase: Array
-    lateral: Array
-    chirp: Array
-
-    @property
-    def flux(self) -> Array:
-        """Light per mm of the curve, (profile,)."""
-        return self.weight.sum(axis=(1, 2))
-
-    def mean(self, values: Array) -> Array:
-        """Flux-weighted mean over a profile, (profile,)."""
-        return (self.weight * values).sum(axis=(1, 2)) / self.flux
-
-
-def profiles(bench: Bench, origin: Array, tangent: Array, phase: Array, across: int, along: int) -> Profiles:
-    """Profiles of the trace along straight lines on the board.
+def cuts(
+    bench: Bench,
+    origin: Array,
+    tangent: Array,
+    phase: Array,
+    across: int,
+    along: int,
+    *,
+    lean: float = 0.0,
+    front: bool = False,
+    kicks: bool = True,
+) -> Profiles:
+    """Profiles of the trace along straight lines on the board, of one lean of the facets.
 
     Parameters
     ----------
@@ -173,10 +245,16 @@ def profiles(bench: Bench, origin: Array, tangent: Array, phase: Array, across: 
     origin, tangent : (m, 2) array
         Points [mm] near the trace, and unit tangents in the direction of growing phase; the line runs along the tangent
         turned by +90 degrees.
-    phase : (m,) array
-        A phase at which light arrives near each origin [rad]; Newton's method starts there.
+    phase : (m, 1 or across, 1 or along) array
+        Phases at which light arrives near each origin [rad]; Newton's method starts there.
     across, along : int
         Number of nodes over the facet's width and height.
+    lean : float
+        Added to the mean facet's [rad].
+    front : bool
+        Light off the front of the mirror's glass.
+    kicks : bool
+        Whether `Profiles.lateral` and `Profiles.chirp` are wanted; 0 otherwise.
 
     Returns
     -------
@@ -185,48 +263,106 @@ def profiles(bench: Bench, origin: Array, tangent: Array, phase: Array, across: 
     """
     p = bench.placement
     t, h, area = facet_nodes(bench, across, along)
-    tau = tangent[:, None, None, :]
-    start = origin[:, None, None, :]
-    left = np.stack([-tau[..., 1], tau[..., 0]], axis=-1)
-    e = np.broadcast_to(phase[:, None, None], (len(phase), t.shape[0], h.shape[1])).copy()
-    pair = np.array([0.0, PHASE_STEP])[:, None, None, None]
+    ty, tz = tangent[:, 0, None, None], tangent[:, 1, None, None]
+    oy, oz = origin[:, 0, None, None], origin[:, 1, None, None]
+    e = np.array(np.broadcast_to(phase, (len(phase), t.shape[0], h.shape[1])))
+    pair = PHASE_STEP * np.array([0.0, 1.0])[:, None, None, None]
+    three = PHASE_STEP * np.array([0.0, 1.0, -1.0])[:, None, None, None]
+
+    def ahead(light: Light) -> Array:
+        return (light.board[..., 0] - oy) * ty + (light.board[..., 1] - oz) * tz
+
+    def ray(at: Array, power: bool) -> tuple[Light, Array | float]:
+        if not bench.physics.beam:
+            return axis_ray(bench, at, lean, front=front), 1.0
+        return _beam_light(bench, at, t, h, lean, front=front, power=power)
+
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for _ in range(12):
-            f, ahead = dot(beam_ray(bench, e + pair, t, h).board - start, tau)
-            step = -f * PHASE_STEP / (ahead - f)
+            f, next_f = ahead(ray(e + pair, False)[0])
+            step = -f * PHASE_STEP / (next_f - f)
             e += np.clip(step, -0.05, 0.05)
-            # The slope's error of 1e-5 makes the next step that much smaller than this one.
-            if not np.nanmax(np.abs(step), initial=0.0) > 1e-9:
+            # The error left is about the square of the step; the last bit is corrected to first order below.
+            if not np.fmax.reduce(np.abs(step).ravel(), initial=0.0) > 1e-3:
                 break
-        both = beam_ray(bench, e + np.array([-1.0, 1.0])[:, None, None, None] * PHASE_STEP, t, h).board
-        motion = (both[1] - both[0]) / (2 * PHASE_STEP)
-        light = beam_ray(bench, e, t, h)
-        speed = dot(motion, tau)
-        power = source.power_density(bench.laser, p.laser_point, p.laser_direction, light.x, light.normal)
-        weight = bench.exposure_per_phase * area * power / np.abs(speed)
-        q = dot(light.board - start, left)
-        lateral, chirp = _kick(bench, light, left, motion, speed, tau)
-        missed = ~(np.abs(dot(light.board - start, tau)) < 1e-6)
-        weight = np.where(missed, np.nan, np.where(light.reaches(p), weight, 0.0))
-    return Profiles(q, weight, e, lateral, chirp)
+        light, power = ray(e + three, True)
+        f = ahead(light)
+        speed = (f[1] - f[2]) / (2 * PHASE_STEP)
+        beside = (light.board[..., 1] - oz) * ty - (light.board[..., 0] - oy) * tz
+        slant = (beside[1] - beside[2]) / (2 * PHASE_STEP)
+        late = f[0] / speed
+        q = beside[0] - slant * late
+        light = Light(*(a[0] for a in light))
+        reaches = light.reaches(p)
+        weight = bench.exposure_per_phase * area * (power[0] if isinstance(power, np.ndarray) else power)
+        weight = weight / np.abs(speed)
+        missed = ~(np.abs(late) < 1e-4)
+        weight = np.where(missed, np.nan, np.where(reaches, weight, 0.0))
+        nothing = np.zeros(())
+        lateral, chirp = _kick(bench, light, tangent, slant / speed) if kicks else (nothing, nothing)
+    return Profiles(q, weight, e - late, np.broadcast_to(lateral, q.shape), np.broadcast_to(chirp, q.shape))
 
 
-def _kick(bench: Bench, light: Light, left: Array, motion: Array, speed: Array, tau: Array) -> tuple[Array, Array]:
+def profiles(bench: Bench, origin: Array, tangent: Array, phase: Array, across: int, along: int) -> Profiles:
+    """Profiles of the trace along straight lines on the board, of all facets that the exposure sees.
+
+    Parameters as in `cuts`, with ``phase`` (m,). Where facets lean differently, the light's mean position and flux are
+    worked out at the mean lean and as far as the farthest facets on either side, and interpolated by a parabola.
+    """
+    nodes = cuts(bench, origin, tangent, phase[:, None, None], across, along)
+    return mixed(bench, nodes, origin, tangent, across)
+
+
+def mixed(bench: Bench, nodes: Profiles, origin: Array, tangent: Array, across: int) -> Profiles:
+    """The profiles of the mean lean with the facets' shifts and shares, and the light of all in ``weight``."""
+    if bench.facet is not None:
+        return nodes
+    with np.errstate(invalid="ignore", divide="ignore"):
+        off = bench.parts.polygon.spread(nodes.mean(nodes.phase))
+    if off is None:
+        return nodes
+    far = float(np.abs(off).max())
+    start = nodes.phase[:, :, nodes.phase.shape[2] // 2, None]
+    middle = cuts(bench, origin, tangent, start, across, 1, kicks=False)
+    sides = [cuts(bench, origin, tangent, start, across, 1, lean=s * far, kicks=False) for s in (-1.0, 1.0)]
+    u = off / far
+
+    def at(values: list[Array]) -> Array:
+        less, here, more = (v[:, None] for v in values)
+        return here + 0.5 * u * (more - less) + 0.5 * u * u * (more + less - 2 * here)
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        three = [sides[0], middle, sides[1]]
+        shift = at([s.mean(s.q) - middle.mean(middle.q) for s in three])
+        light = np.maximum(at([s.flux / middle.flux for s in three]), 0.0)
+    total = light.mean(axis=1)
+    return nodes._replace(
+        weight=nodes.weight * total[:, None, None], shift=shift, share=light / light.sum(axis=1, keepdims=True)
+    )
+
+
+def _kick(bench: Bench, light: Light, tangent: Array, slant: Array) -> tuple[Array, Array]:
     """How a small turn of the reflected ray moves its cut through the profile's line; see `Profiles`.
 
     A turn δ ⟂ r̂ moves the hit by s (δ − r̂ (δ·b)/(r̂·b)), b the board's normal; what of it lies along the motion only
-    changes the phase at which the line is cut.
+    changes the phase at which the line is cut. ``slant`` is the motion's part across the tangent over that along it.
     """
-    p = bench.placement
-    length = np.linalg.norm(light.outgoing, axis=-1)
+    p, board = bench.placement, bench.parts.board
+    length = np.sqrt(dot(light.outgoing, light.outgoing))
     ray = light.outgoing / length[..., None]
     path = light.path * length
-    front, edges = p.screen_rotation[:, 0], p.screen_rotation[:, 1:]
-    probe = (left - (dot(motion, left) / speed)[..., None] * tau) @ edges.T
-    pull = probe - (dot(probe, ray) / (ray @ front))[..., None] * front
-    pull = pull - dot(pull, ray)[..., None] * ray
-    lateral = path * np.linalg.norm(pull, axis=-1)
-    across = left @ edges.T
+    front, edge_y, edge_z = p.screen_rotation.T
+    ty, tz = tangent[:, 0, None, None], tangent[:, 1, None, None]
+    # Components of the ray along the board's axes and its local normal.
+    rf, ry, rz = dot(ray, front), dot(ray, edge_y), dot(ray, edge_z)
+    slope_y, slope_z = board.slopes(light.board[..., 0], light.board[..., 1])
+    py, pz = -tz - slant * ty, ty - slant * tz
+    scale = (py * ry + pz * rz) / (rf - slope_y * ry - slope_z * rz)
+    # pull = probe − (probe·r̂)/(r̂·b) b, which is perpendicular to the ray already.
+    lateral = path * np.sqrt((py + scale * slope_y) ** 2 + (pz + scale * slope_z) ** 2 + scale * scale)
     a = p.axis
-    chirp = (across @ a - dot(across, ray) * (ray @ a)) / path
+    lift = slope_z * ty - slope_y * tz
+    across_a = lift * (front @ a) + ty * (edge_z @ a) - tz * (edge_y @ a)
+    across_r = lift * rf + ty * rz - tz * ry
+    chirp = (across_a - across_r * dot(ray, a)) / path
     return lateral, chirp

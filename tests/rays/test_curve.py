@@ -193,13 +193,11 @@ def test_a_moved_board_moves_the_trace_back():
     np.testing.assert_allclose(d, 0, atol=1e-6)
 
 
-def test_predict_reads_a_bench_and_refuses_effects():
+def test_predict_reads_a_bench():
     recording = read(Path(__file__).parents[2] / "scenes" / "fig7a.toml", images=False)
     exposure = recording.exposures[0]
     curve = predict(recording, exposure)
     assert len(curve.points) == 96 and curve.flux.min() > 0 and curve.width.min() > 0
-    with pytest.raises(BenchsimError, match=r"fig7a\.toml: effects\.canting"):
-        predict(replace(recording, effects={"canting": {"pyr": 1.5}}), exposure)
     with pytest.raises(BenchsimError, match="7a: the laser is below the horizon"):
         predict(recording, replace(exposure, laser_elevation=-0.2))
 

@@ -153,7 +153,7 @@ def test_two_dimensional_kirchhoff():
     q = np.linspace(-3.5, 3.5, 29)
     phases = sample_phases(bench, 33)
     points, tangent, nodes = beam_profiles(bench, phases)
-    one = Profiles(*(a[8:9] for a in nodes))
+    one = nodes.only(slice(8, 9))
     predicted = fresnel_profile(one, WAVELENGTH, Mirror().height, q[None])[0]
     left = np.array([-tangent[8, 1], tangent[8, 0]])
     span = 1.35 * np.ptp(one.phase) / 2 + 4e-4

@@ -1,0 +1,187 @@
+"""What the ray model predicts of a recording: the trace of an exposure with every effect of light, and its ghost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from benchsim.bench.curve import Curve, signed_distance
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.model import Exposure, Physics, Recording
+from benchsim.bench.place import SettingErrors, place
+from benchsim.rays.curve import FAINT, check, left_of, nodes_needed, sample_phases, tangents, trace
+from benchsim.rays.effects import elements
+from benchsim.rays.sweep import Bench, axis_ray, cuts
+from benchsim.rays.width import widths
+
+Array = NDArray[np.float64]
+Shape = tuple[float, float, float]
+
+
+def bench_of(
+    recording: Recording, exposure: Exposure, errors: SettingErrors | None = None, shape: Shape = (0.0, 0.0, 0.0)
+) -> Bench:
+    """The bench of one exposure with the recording's effects and fields; see `predict`."""
+    parts = elements(recording, exposure, shape)
+    placement = parts.turned(place(recording.mirror, exposure, errors))
+    return Bench(
+        recording.laser, recording.mirror, recording.physics, recording.screen, placement, exposure.facet, parts
+    )
+
+
+def predict(
+    recording: Recording,
+    exposure: Exposure,
+    errors: SettingErrors | None = None,
+    samples: int = 96,
+    *,
+    width: bool = True,
+    shape: Shape = (0.0, 0.0, 0.0),
+) -> Curve:
+    """Time-averaged trace of one exposure on the board, with the recording's effects and fields of light.
+
+    Effects and fields between board and pixel do not act here; see `camera.see`. Where ``[physics]`` leaves facets,
+    beam or diffraction out and an effect gives their amplitude a, the trace is (1 − a) of the one without and a of the
+    one with (multilinear in several): of the positions across, the widths, and the flux along the trace.
+
+    Parameters
+    ----------
+    recording : Recording
+    exposure : Exposure
+    errors : SettingErrors, optional
+        True minus stated setting; default none.
+    samples : int
+        Points along the curve.
+    width : bool
+        False leaves the width out (None), which saves about half the time.
+    shape : (c4, e_plus, e_cross)
+        True beam profile over the Gaussian: its density is multiplied with exp(c4 (s² − 2 s) + (e_plus (u² − v²) +
+        e_cross 2 u v)/w²), s = 2 (u² + v²)/w². Not normalised: the flux is to be compared along one trace only.
+
+    Returns
+    -------
+    Curve
+        See `curve.trace_curve`; true board coordinates.
+
+    Raises
+    ------
+    BenchsimError
+        For an effect or parameter that does not exist, and as `curve.trace_curve`.
+    """
+    bench = bench_of(recording, exposure, errors, shape)
+    try:
+        return _mixture(bench, samples, width=width)
+    except BenchsimError as error:
+        raise BenchsimError(f"{exposure.name}: {error}") from None
+
+
+def _mixture(bench: Bench, samples: int, *, width: bool) -> Curve:
+    """The trace, mixed of those with and without what the physics leaves out."""
+    has = bench.physics
+    amounts = {
+        name: amount
+        for name, amount in (
+            ("facets", bench.parts.polygon.facets),
+            ("beam", bench.parts.source.beam),
+            ("diffraction", bench.parts.diffraction),
+        )
+        if amount and not getattr(has, name)
+    }
+    if not amounts:
+        return _with_ghost(bench, samples, width=width)
+    base = _with_ghost(bench, samples, width=width)
+    s0 = base.arc_length()
+    normal = left_of(tangents(base.points))
+    offset, wide = np.zeros(len(s0)), np.zeros(len(s0))
+    relative, level = np.zeros(len(s0)), 0.0
+    phase = np.zeros(len(s0))
+    for choice in product((False, True), repeat=len(amounts)):
+        share = float(np.prod([a if on else 1 - a for a, on in zip(amounts.values(), choice, strict=True)]))
+        if share == 0:
+            continue
+        physics = replace(has, **dict(zip(amounts, choice, strict=True)))
+        curve = base if physics == has else _corner(bench, physics, samples, width=width)
+        d, s = signed_distance(curve, base.points) if curve is not base else (np.zeros(len(s0)), s0)
+        at = curve.arc_length()
+        assert curve.flux is not None and curve.phase is not None
+        flux = np.interp(s, at, curve.flux) if curve is not base else curve.flux
+        offset -= share * d
+        relative += share * flux / curve.flux.mean()
+        level += share * float(curve.flux.mean())
+        phase += share * (CubicSpline(at, curve.phase)(s) if curve is not base else curve.phase)
+        if curve.width is not None:
+            wide += share * np.interp(s, at, curve.width)
+    return Curve(base.points + offset[:, None] * normal, wide if width else None, relative * level, phase)
+
+
+def _corner(bench: Bench, physics: Physics, samples: int, *, width: bool) -> Curve:
+    return _with_ghost(replace(bench, physics=physics), samples, width=width)
+
+
+def _with_ghost(bench: Bench, samples: int, *, width: bool) -> Curve:
+    """The trace; behind glass with the pull of the front face's ghost where the two merge.
+
+    Two profiles of one width σ, the second a distance D off with a share f of the first's light, have the adaptive
+    centre f D exp(−D²/4σ²) to first order in f (`profile.adaptive`): all of f D where they coincide, nothing where they
+    are apart.
+    """
+    if not bench.parts.polygon.glass:
+        return trace(bench, samples, width=width)
+    curve = trace(bench, samples)
+    other = _ghost(bench, samples)
+    assert curve.width is not None and curve.flux is not None
+    if other is not None and other.flux is not None:
+        d, s = signed_distance(other, curve.points)
+        share = np.interp(s, other.arc_length(), other.flux) / curve.flux
+        inside = (s >= 0) & (s <= other.arc_length()[-1])
+        sigma = np.maximum(curve.width, 1e-6)
+        pull = np.where(inside, -d * share * np.exp(-0.25 * (d / sigma) ** 2), 0.0)
+        points = curve.points + pull[:, None] * left_of(tangents(curve.points))
+        curve = replace(curve, points=points)
+    return curve if width else replace(curve, width=None)
+
+
+def ghost(
+    recording: Recording, exposure: Exposure, errors: SettingErrors | None = None, samples: int = 96
+) -> Curve | None:
+    """The faint ridge that the front face of a second-surface mirror draws; None without glass.
+
+    Parameters as in `predict`.
+
+    Returns
+    -------
+    Curve or None
+        ``flux`` in the units of `predict`'s, so that their ratio is the ghost's relative brightness. None too where it
+        does not meet the board.
+    """
+    bench = bench_of(recording, exposure, errors)
+    if not bench.parts.polygon.glass:
+        return None
+    return _ghost(bench, samples)
+
+
+def _ghost(bench: Bench, samples: int) -> Curve | None:
+    """Light that the front face reflects, as if the glass were not there, with Fresnel's reflectance."""
+    check(bench)
+    bare = replace(bench, parts=replace(bench.parts, polygon=replace(bench.parts.polygon, glass=0.0)))
+    phase = sample_phases(bare, samples)
+    points = axis_ray(bare, phase).board
+    across, along = nodes_needed(bench) if bench.physics.beam else (1, 1)
+    start = phase[:, None, None]
+    for h in (1, along):
+        tangent = tangents(points)
+        nodes = cuts(bench, points, tangent, start, across, h, front=True)
+        flux = nodes.flux
+        bright = flux > FAINT * np.nanmax(flux, initial=0.0)
+        if bright.sum() < 4:
+            return None
+        nodes, points, tangent = nodes.only(bright), points[bright], tangent[bright]
+        centre = nodes.mean(nodes.q)
+        points, start = points + centre[:, None] * left_of(tangent), nodes.phase
+    nodes = nodes._replace(q=nodes.q - centre[:, None, None])
+    wide = widths(bench, nodes) if bench.physics.beam else np.full(len(points), bench.parts.timing.shake)
+    return Curve(points, wide, nodes.flux, nodes.mean(nodes.phase))
