@@ -31,8 +31,8 @@ BOARD_EFFECTS = ("screen-tilt", "screen-bow")
 BOARD_FIELDS = ("pixel", "brightness", "height", "shift")
 
 STEPS = 4
-SMALL = 1e-4
-"""Largest change of any mark [px] at which the pose is taken as found: a fiftieth of what a mark is measured to."""
+SMALL = 0.02
+"""Largest change of any mark [px] that is taken as the last: what it leaves is of second order, some percent of it."""
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,10 @@ def true_pose(recording: Recording, seen: View, camera: Camera | None = None) ->
         shift = rays.see(recording, truth, rotation, translation, seen.corners, printed=True) - seen.flat
         delta = -seen.gain @ shift.ravel()
         moved = seen.by_pose @ delta
+        rotation, translation = turned(rotation, translation, delta)
         if np.abs(moved).max() < SMALL:
             shift = shift + moved
             break
-        rotation, translation = turned(rotation, translation, delta)
     return rotation, translation, shift.reshape(-1, 4, 2).mean(axis=1)
 
 
