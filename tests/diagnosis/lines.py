@@ -21,7 +21,7 @@ def predict(values, block):
     c = c + v("turn") * u * Y**2 + 0.15 * v("turn") ** 2 * u**2 * Y**3
     c = c + v("glass") * (np.abs(u) * Y**2 - 0.5 * Y**4)
     c = c + v("ripple") * np.sin(2 * np.pi * Y / max(v("period"), 0.1))
-    c = c + v(f"tilt_{block % 3}") * np.cos(3 * Y)
+    c = c + v(f"tilt_{block % 3}") * np.cos(6 * Y)
     w = np.sqrt((1 + v("gain")) ** 2 * (0.3 + 0.1 * u * Y) ** 2 + v("blur") ** 2 + 0 * Y)
     return np.concatenate([c, w])
 
