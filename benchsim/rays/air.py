@@ -1,8 +1,8 @@
 """The air between mirror and screen: a glass slab, a gradient of temperature, and kicks at the plane half way.
 
-Light is carried as the straight line on which it arrives at the board: a slab displaces it, a kick turns it about the
-point where it crosses the plane half way, a constant gradient bends it into a parabola, whose tangent at the board's
-plane is the line.
+Light is carried as the straight line on which it arrives at the board: a kick turns it about the point where it crosses
+the plane half way, a constant gradient bends it into a parabola, whose tangent at the board's plane is the line, and a
+slab displaces it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 EFFECTS: Mapping[str, tuple[str, ...]] = {
     "window": ("win",),
-    "window-tilt": ("wty", "wtz"),
+    "window-tilt": ("wty", "wtz", "win"),
     "air-gradient": ("air", "airh"),
     "plume": ("plume", "plume_y", "plume_z", "plume_width"),
 }
@@ -75,14 +75,16 @@ def effects(tables: Effects, fields: Mapping[str, Field]) -> AirEffects:
     Raises
     ------
     BenchsimError
-        A plume without width.
+        A plume without width, or a window of negative thickness.
     """
 
     def of(name: str, key: str, default: float = 0.0) -> float:
         return tables.get(name, {}).get(key, default)
 
     turn = (np.radians(of("window-tilt", "wty")), np.radians(of("window-tilt", "wtz")))
-    window = of("window", "win") or (WINDOW if any(turn) else 0.0)
+    window = of("window", "win") or of("window-tilt", "win") or (WINDOW if any(turn) else 0.0)
+    if window < 0:
+        raise BenchsimError(f"effects.window.win: {window:g} mm is no thickness; give one of 0 or more")
     per_mm = DN_DT * 1e-3
     width = of("plume", "plume_width", PLUME_WIDTH)
     if width <= 0:
@@ -101,7 +103,7 @@ def half_way(placement: Placement) -> float:
     return float(0.5 * (placement.centre[0] + placement.screen_origin[0]))
 
 
-def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> tuple[Array, Array]:
+def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> tuple[Array, Array, Array | None]:
     """The straight line on which light from the mirror arrives at the board.
 
     Parameters
@@ -115,14 +117,11 @@ def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> 
     -------
     x, direction : (..., 3) ndarray
         A point of the line as far from the board as the mirror is, and the direction, of the same length.
+    passed : (...) ndarray or None
+        Share of the light that a window lets through (Fresnel, unpolarised, both faces); None without one.
     """
     if air.still:
-        return x, direction
-    if air.window:
-        slab = Rotation.from_rotvec([0.0, *air.turn]).as_matrix()[:, 0]
-        inside, cosine, _ = refracted(direction, np.broadcast_to(slab, direction.shape))
-        straight = direction / -dot(direction, slab)[..., None]
-        x = x + air.window * (inside / cosine[..., None] - straight)
+        return x, direction, None
     if air.plume[0] or air.kick is not None:
         s = (half_way(placement) - x[..., 0]) / direction[..., 0]
         crossing = x + s[..., None] * direction
@@ -138,7 +137,13 @@ def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> 
         s = (dot(placement.screen_origin - x, front) / dot(direction, front))[..., None]
         direction = direction + s * bend
         x = x - 0.5 * s * s * bend
-    return x, direction
+    if not air.window:
+        return x, direction, None
+    slab = Rotation.from_rotvec([0.0, *air.turn]).as_matrix()[:, 0]
+    inside, cosine, reflectance = refracted(direction, np.broadcast_to(slab, direction.shape))
+    straight = direction / -dot(direction, slab)[..., None]
+    x = x + air.window * (inside / cosine[..., None] - straight)
+    return x, direction, (1.0 - reflectance) ** 2
 
 
 def _kick(air: AirEffects, crossing: Array) -> Array:

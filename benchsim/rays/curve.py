@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
@@ -12,7 +14,7 @@ from benchsim.bench.model import Laser, Mirror, Physics, Screen
 from benchsim.bench.place import Placement
 from benchsim.rays import screen as board_plane
 from benchsim.rays.profile import Profiles
-from benchsim.rays.sweep import PHASE_STEP, Bench, axis_ray, cuts, mixed
+from benchsim.rays.sweep import Bench, axis_ray, cuts, mixed
 from benchsim.rays.width import across as irradiance_across
 from benchsim.rays.width import widths
 
@@ -120,11 +122,22 @@ def sample_phases(bench: Bench, samples: int) -> Array:
         )
     runs = np.split(on, np.flatnonzero(np.diff(on) > 1) + 1)
     run = min(runs, key=lambda r: np.min(np.abs(grid[r])))
-    first, last = _edges(bench, grid, int(run[0]), int(run[-1]))
-    dense = np.linspace(first, last, 200)
-    steps = np.diff(axis_ray(bench, dense).board, axis=0)
+    before, after = max(int(run[0]) - 1, 0), min(int(run[-1]) + 1, len(grid) - 1)
+    if np.isfinite(beyond[[before, after]]).all():
+        first, last = grid[before], grid[after]
+    else:
+        first, last = _edges(bench, grid, int(run[0]), int(run[-1]))
+    dense = np.linspace(first, last, 160)
+    light = axis_ray(bench, dense)
+    steps = np.diff(light.board, axis=0)
     s = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
-    return np.interp(np.linspace(0.0, s[-1], samples), s, dense)
+    # Where it crosses the edge, by a straight line between two of these points: to some 1e-3 mm.
+    off = board_plane.margin(bench.screen.size, light.board)
+    on = np.flatnonzero(off <= 0)
+    i, j = (int(on[0]), int(on[-1])) if len(on) else (0, len(dense) - 1)
+    start = s[i] if i == 0 else s[i] + (s[i - 1] - s[i]) * off[i] / (off[i] - off[i - 1])
+    end = s[j] if j == len(dense) - 1 else s[j] + (s[j + 1] - s[j]) * off[j] / (off[j] - off[j + 1])
+    return np.interp(np.linspace(start, end, samples), s, dense)
 
 
 def _beyond(bench: Bench, phase: Array) -> tuple[Array, Array]:
@@ -159,23 +172,34 @@ def _edges(bench: Bench, grid: Array, first: int, last: int) -> tuple[float, flo
 
 
 def _ray_curve(bench: Bench, phase: Array, *, width: bool = True) -> Curve:
-    ahead, behind = axis_ray(bench, phase + PHASE_STEP).board, axis_ray(bench, phase - PHASE_STEP).board
-    speed = np.linalg.norm(ahead - behind, axis=1) / (2 * PHASE_STEP)
-    points, flux = axis_ray(bench, phase).board, bench.exposure_per_phase / speed
+    points = axis_ray(bench, phase).board
     spread = np.full(len(phase), bench.parts.timing.shake)
     tangent = tangents(points)
     nodes = mixed(bench, cuts(bench, points, tangent, phase[:, None, None], 1, 1, kicks=False), points, tangent, 1)
     if nodes.shift is not None and nodes.share is not None:
         centre = (nodes.share * nodes.shift).sum(axis=1)
-        points, flux = points + centre[:, None] * left_of(tangent), nodes.flux
+        points = points + centre[:, None] * left_of(tangent)
         spread = np.hypot(spread, np.sqrt((nodes.share * (nodes.shift - centre[:, None]) ** 2).sum(axis=1)))
-    return Curve(points, spread if width else None, flux, phase)
+    return Curve(points, spread if width else None, nodes.flux, phase)
 
 
 def tangents(points: Array) -> Array:
+    """Unit tangents (n, 2) of the smooth curve through points (n, 2), in their order."""
+    steps = np.diff(points, axis=0)
+    length = np.hypot(steps[:, 0], steps[:, 1])
+    if len(points) >= 4 and length.max() < 1.3 * length.min():
+        # Evenly spaced: the number of the point serves as the parameter, and the spline's derivative is a matrix.
+        t = _derivative(len(points)) @ points
+        return t / np.hypot(t[:, 0], t[:, 1])[:, None]
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     t = CubicSpline(s, points)(s, 1)
     return t / np.linalg.norm(t, axis=1, keepdims=True)
+
+
+@lru_cache(maxsize=64)
+def _derivative(n: int) -> Array:
+    """Matrix (n, n) of the derivative of the cubic spline through n evenly spaced values."""
+    return np.asarray(CubicSpline(np.arange(n), np.eye(n))(np.arange(n), 1))
 
 
 def left_of(tangent: Array) -> Array:

@@ -101,7 +101,7 @@ def section(placement: Placement) -> tuple[Array, Array]:
     d = placement.laser_direction
     v = placement.axis - (placement.axis @ d) * d
     v = v / np.linalg.norm(v)
-    return np.cross(v, d), v
+    return cross(v, d), v
 
 
 def turned(placement: Placement, source: SourceEffects) -> Placement:
@@ -126,7 +126,18 @@ def dot(a: Array, b: Array) -> Array:
 
 def outer(scalars: Array, vector: Array) -> Array:
     """Vectors (..., 3) of scalars (...) times one vector; each component lies together in memory, which is faster."""
-    return np.moveaxis(np.multiply.outer(vector, scalars), 0, -1)
+    return components_last(np.multiply.outer(vector, scalars))
+
+
+def components_last(stack: Array) -> Array:
+    """A view (..., k) of (k, ...)."""
+    return stack.transpose((*range(1, stack.ndim), 0))
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Vector product of two single vectors, without the checks that make NumPy's slow for them."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def direction(curvature: float, point: Array, axis: Array, x: Array) -> Array:
@@ -304,7 +315,7 @@ def beam(laser: Laser, placement: Placement, source: SourceEffects) -> Beam:
         placement.laser_direction,
         laser.waist,
         laser.curvature + source.curvature,
-        section(placement),
+        None if source.homocentric and not any(source.shape) else section(placement),
         source,
     )
 

@@ -14,7 +14,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, evaluate
 from benchsim.bench.model import Mirror
 from benchsim.bench.place import Placement
-from benchsim.rays.laser import dot, outer
+from benchsim.rays.laser import cross, dot, outer
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
@@ -161,7 +161,7 @@ def _turn(placement: Placement, phase: Array) -> tuple[Array, Array]:
     a, n = placement.axis, placement.normal
     lift = (a @ n) * a
     flat = n - lift
-    across = np.array([a[1] * n[2] - a[2] * n[1], a[2] * n[0] - a[0] * n[2], a[0] * n[1] - a[1] * n[0]])
+    across = cross(a, n)
     c, s = np.cos(e), np.sin(e)
     return outer(c, flat) + outer(s, across) + lift, outer(c, across) - outer(s, flat)
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from benchsim.bench.fields import Field, prepared
 from benchsim.bench.place import Placement
-from benchsim.rays.laser import dot
+from benchsim.rays.laser import components_last, dot
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
@@ -113,7 +113,7 @@ def meet(placement: Placement, x: Array, direction: Array, surface: BoardEffects
         if surface is not None and not surface.flat:
             s = _on_surface(surface, s, (height, y0, z0), (falling, to_y, to_z))
         y, z = y0 + s * to_y, z0 + s * to_z
-    return np.moveaxis(np.stack([y, z]), 0, -1), s
+    return components_last(np.stack([y, z])), s
 
 
 def _on_surface(

@@ -84,7 +84,10 @@ class Bench:
 
 
 class Light(NamedTuple):
-    """Light at the mirror and on the board: point, unit normal, directions in and out (not normalised), hit, path."""
+    """Light at the mirror and on the board: point, unit normal, directions in and out (not normalised), hit, path.
+
+    ``passed`` is the share of it that glass and window let through, None for all.
+    """
 
     x: Array
     normal: Array
@@ -92,6 +95,13 @@ class Light(NamedTuple):
     outgoing: Array
     board: Array
     path: Array
+    passed: Array | None = None
+
+    def first(self) -> Light:
+        """The first of a stack of phases."""
+        passed = None if self.passed is None else self.passed[0]
+        x, normal, incoming, outgoing, board, path = (a[0] for a in self[:6])
+        return Light(x, normal, incoming, outgoing, board, path, passed)
 
     def reaches(self, placement: Placement) -> NDArray[np.bool_]:
         """Where light falls on the mirror's outside and then on the board's front."""
@@ -103,18 +113,26 @@ class Light(NamedTuple):
         )
 
 
-def _onward(bench: Bench, x: Array, normal: Array, incoming: Array, leave: Array | None = None) -> Light:
+def _onward(
+    bench: Bench,
+    x: Array,
+    normal: Array,
+    incoming: Array,
+    leave: Array | None = None,
+    passed: Array | None = None,
+) -> Light:
     """Light from the mirror's points x, or from where it leaves the glass, on to the board."""
     p, parts = bench.placement, bench.parts
     outgoing = optic.reflect(incoming, normal)
-    start = x if leave is None else leave
-    line = start, outgoing
+    start, way = x if leave is None else leave, outgoing
     if not parts.air.still:
-        line = medium.carry(parts.air, p, start, outgoing)
-    board, path = board_plane.meet(p, *line, parts.board)
+        start, way, window = medium.carry(parts.air, p, start, outgoing)
+        if window is not None:
+            passed = window if passed is None else passed * window
+    board, path = board_plane.meet(p, start, way, parts.board)
     if bench.shift is not None:
         board = board + bench.shift
-    return Light(x, normal, incoming, outgoing, board, path)
+    return Light(x, normal, incoming, outgoing, board, path, passed)
 
 
 def axis_ray(bench: Bench, phase: Array, lean: Array | float = 0.0, *, front: bool = False) -> Light:
@@ -150,11 +168,13 @@ def axis_ray(bench: Bench, phase: Array, lean: Array | float = 0.0, *, front: bo
             sag = 0.5 * polygon.curvature * dot(off, off)
             at = at - source.outer(sag / dot(normal, direction), direction)
         x = at
-    if not polygon.glass or front:
+    if front:
+        return _onward(bench, x, normal, incoming, passed=optic.refracted(incoming, normal)[2])
+    if not polygon.glass:
         return _onward(bench, x, normal, incoming)
-    inside, cosine, _ = optic.refracted(incoming, normal)
+    inside, cosine, reflectance = optic.refracted(incoming, normal)
     back = x + (polygon.glass / cosine)[..., None] * (inside + optic.reflect(inside, normal))
-    return _onward(bench, x, normal, incoming, back)
+    return _onward(bench, x, normal, incoming, back, (1.0 - reflectance) ** 2)
 
 
 def beam_ray(bench: Bench, phase: Array, t: Array, h: Array, lean: Array | float = 0.0) -> Light:
@@ -185,16 +205,14 @@ def _beam_light(
     if glass:
         x, leave, passed = optic.through_glass(glass, x, normal, lambda at: bench.beam.light(at)[0])
     incoming, density = bench.beam.light(x)
-    light = _onward(bench, x, normal, incoming, leave)
+    if front:
+        passed = optic.refracted(incoming, normal)[2]
+    light = _onward(bench, x, normal, incoming, leave, passed)
     if not power:
         return light, 0.0
     falls = density(normal)
     if area is not None:
         falls = falls * area
-    if passed is not None:
-        falls = falls * passed
-    if front:
-        falls = falls * optic.refracted(incoming, normal)[2]
     return light, falls
 
 
@@ -292,10 +310,12 @@ def cuts(
         slant = (beside[1] - beside[2]) / (2 * PHASE_STEP)
         late = f[0] / speed
         q = beside[0] - slant * late
-        light = Light(*(a[0] for a in light))
+        light = light.first()
         reaches = light.reaches(p)
         weight = bench.exposure_per_phase * area * (power[0] if isinstance(power, np.ndarray) else power)
         weight = weight / np.abs(speed)
+        if light.passed is not None:
+            weight = weight * light.passed
         missed = ~(np.abs(late) < 1e-4)
         weight = np.where(missed, np.nan, np.where(reaches, weight, 0.0))
         nothing = np.zeros(())

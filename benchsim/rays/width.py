@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -25,7 +27,7 @@ def blurs(bench: Bench, lateral: Array) -> Array:
 def widths(bench: Bench, nodes: Profiles) -> Array:
     """Adaptive width about the mean of each profile, (profile,) [mm]; worked out on a few and interpolated."""
     n = len(nodes.q)
-    few = np.unique(np.linspace(0, n - 1, min(n, FEW)).round().astype(int))
+    few = _few(n)
     some = nodes.only(few)
     mean = some.mean(some.q)
     if bench.physics.diffraction:
@@ -49,9 +51,18 @@ def widths(bench: Bench, nodes: Profiles) -> Array:
         blur = blur if blur.shape[1] == 1 else np.repeat(blur, facets, axis=1)
     # Its own mean is 0: the profiles are measured from the curve.
     width = adaptive(q, light, np.zeros(len(few)), blur=blur if blur.any() else 0.0)[1]
-    if len(few) < 4:
-        return np.interp(np.arange(n), few, width)
-    return np.asarray(CubicSpline(few, width)(np.arange(n)))
+    return _between(n) @ width
+
+
+def _few(n: int) -> NDArray[np.intp]:
+    return np.unique(np.linspace(0, n - 1, min(n, FEW)).round().astype(int))
+
+
+@lru_cache(maxsize=64)
+def _between(n: int) -> Array:
+    """Matrix (n, few) of the cubic spline through values at the few profiles."""
+    few = _few(n)
+    return np.asarray(CubicSpline(few, np.eye(len(few)))(np.arange(n)))
 
 
 def across(bench: Bench, nodes: Profiles, q: Array) -> Array:
