@@ -16,7 +16,6 @@ Not to be used where the prediction bends over the size of what is sought: the b
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,6 +62,37 @@ class Attached:
     root: Array
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """An attachment in the coefficients that its kernels can tell apart; the same for all hypotheses and folds.
+
+    Attributes
+    ----------
+    attachment : Attachment
+    lift : (K, m)
+        Orthonormal columns: the attachment's coefficients of the m that are worked with.
+    basis : (n, m)
+    roots : tuple of (m, r)
+        Of each length.
+    """
+
+    attachment: Attachment
+    lift: Array
+    basis: Array
+    roots: tuple[Array, ...]
+
+
+def prepare(problem: Problem) -> tuple[Prepared, ...]:
+    """All attachments of a problem, prepared once."""
+    out = []
+    for a in problem.attachments:
+        roots = [kernel_root(a, length) for length in a.lengths]
+        lift, size, _ = np.linalg.svd(np.column_stack(roots), full_matrices=False)
+        lift = lift[:, size > 1e-4 * size[0]]
+        out.append(Prepared(a, lift, a.basis @ lift, tuple(lift.T @ r for r in roots)))
+    return tuple(out)
+
+
 def kernel_root(attachment: Attachment, length: float, tolerance: float = 1e-7) -> Array:
     """L with L Lᵀ = R(ℓ), (K, m); directions of variance below ``tolerance`` of the largest are dropped."""
     distance2 = ((attachment.knots[:, None, :] - attachment.knots[None, :, :]) ** 2).sum(axis=2)
@@ -94,6 +124,7 @@ def with_columns(linear: Linear, columns: Array) -> Linear:
 def weigh(
     problem: Problem,
     naming: Naming,
+    prepared: tuple[Prepared, ...],
     on: Fit | None = None,
     keep: NDArray[np.bool_] | None = None,
     linear: Linear | None = None,
@@ -105,6 +136,7 @@ def weigh(
     ----------
     problem : Problem
     naming : Naming
+    prepared : tuple of Prepared
     on : Fit, optional
         The hypothesis; default the null.
     keep : (n,) bool, optional
@@ -119,67 +151,57 @@ def weigh(
     """
     on = on or naming.null
     base = absorb(problem, on.linear if linear is None else linear)
-    found = []
-    for attachment in problem.attachments:
-        white, _ = whiten(problem, naming.noise.covariance, attachment.basis)
-        found.append(
-            _one(
-                attachment,
-                white,
-                base,
-                naming,
-                keep,
-                on.log_evidence if log_evidence is None else log_evidence,
-                np.log(PRESENCE / (1 - PRESENCE) / len(problem.attachments)),
-            )
-        )
+    known = on.log_evidence if log_evidence is None else log_evidence
+    prior = float(np.log(PRESENCE / (1 - PRESENCE) / max(1, len(prepared))))
+    found = [
+        _one(p, whiten(problem, naming.noise.covariance, p.basis)[0], base, naming, keep, known + prior)
+        for p in prepared
+    ]
     return tuple(sorted(found, key=lambda a: -a.log_evidence))
 
 
 def _one(
-    attachment: Attachment,
+    prepared: Prepared,
     white: Array,
     base: Linear,
     naming: Naming,
     keep: NDArray[np.bool_] | None,
     log_evidence: float,
-    log_prior: float,
 ) -> Attached:
     use = slice(None) if keep is None else keep
     n_cols, r, b_cols = base.nuisance[use], base.residual[use], white[use]
-    nn, nb, bb = n_cols.T @ n_cols, n_cols.T @ np.column_stack([r, b_cols]), b_cols.T @ np.column_stack([r, b_cols])
-    roots = [kernel_root(attachment, length) for length in attachment.lengths]
-    best: tuple[float, float, float, float, Array, Array] | None = None
-    terms: list[float] = []
+    both = np.column_stack([r, b_cols])
+    nn, nb, bb = n_cols.T @ n_cols, n_cols.T @ both, b_cols.T @ both
+    attachment = prepared.attachment
+    rms = np.geomspace(attachment.sigma * _SMALLEST, attachment.sigma, _STEPS)
+    # Uniform in the rms itself, on a grid that is even in its logarithm.
+    log_prior = np.log(rms / rms.sum() / len(prepared.roots))
+    best = (-np.inf, 0.0, 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
+    terms: list[Array] = []
     plain: list[float] = []
     # As `linear.marginal`, with the products of the data taken once for all scales and lengths.
     for scale, weight in zip(naming.setting_scales, naming.scale_weights, strict=True):
         s = np.where(base.scaled, float(scale), 1.0)
         factor = cho_factor(np.diag(s**-2.0) + nn, lower=True)
-        gram = bb - nb[:, 1:].T @ cho_solve(factor, nb)
-        chi2 = float(r @ r - nb[:, 0] @ cho_solve(factor, nb[:, 0]))
+        solved = cho_solve(factor, nb)
+        gram = bb - nb[:, 1:].T @ solved
+        chi2 = float(r @ r - nb[:, 0] @ solved[:, 0])
         logdet = 2 * float(np.log(np.diag(factor[0])).sum() + np.log(s).sum())
         known = float(np.log(weight)) - 0.5 * (chi2 + logdet)
         plain.append(known)
-        for length, root in zip(attachment.lengths, roots, strict=True):
+        for length, root in zip(attachment.lengths, prepared.roots, strict=True):
             values, vectors = np.linalg.eigh(root.T @ gram[:, 1:] @ root)
             values = np.clip(values, 0, None)
             u = vectors.T @ (root.T @ gram[:, 0])
-            for a, w in _rms(attachment.sigma):
-                shrink = a**2 / (1 + a**2 * values)
-                gain = 0.5 * float((shrink * u**2).sum() - np.log1p(a**2 * values).sum())
-                term = known + gain + float(np.log(w / len(roots)))
-                terms.append(term)
-                if best is None or term > best[0]:
-                    best = (term, a, length, float(scale), root @ (vectors @ (shrink * u)), root * a)
-    assert best is not None
-    total = float(logsumexp(terms) - logsumexp(plain)) + log_evidence + log_prior
+            shrink = rms[:, None] ** 2 / (1 + rms[:, None] ** 2 * values)
+            gain = 0.5 * (shrink @ u**2 - np.log1p(rms[:, None] ** 2 * values).sum(axis=1))
+            cells = known + gain + log_prior
+            terms.append(cells)
+            k = int(np.argmax(cells))
+            if cells[k] > best[0]:
+                mean = root @ (vectors @ (shrink[k] * u))
+                best = (float(cells[k]), float(rms[k]), length, float(scale), mean, root * rms[k])
+    total = float(logsumexp(np.concatenate(terms)) - logsumexp(plain)) + log_evidence
     seen = bool(np.any(white))
-    return Attached(attachment, total if seen else -np.inf, best[1], best[2], best[3], best[4], best[5])
-
-
-def _rms(largest: float) -> Iterator[tuple[float, float]]:
-    """Grid of the rms, uniform in its logarithm, with the weights of a uniform prior on (0, largest)."""
-    grid = np.geomspace(largest * _SMALLEST, largest, _STEPS)
-    weights = grid / grid.sum()
-    yield from zip(grid.tolist(), weights.tolist(), strict=True)
+    lifted, root = prepared.lift @ best[4], prepared.lift @ best[5]
+    return Attached(attachment, total if seen else -np.inf, best[1], best[2], best[3], lifted, root)

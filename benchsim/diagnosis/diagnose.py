@@ -63,8 +63,9 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
     best = _best(problem, naming, notes)
     tell("functions without a name", 0.62)
     covariance = naming.noise.covariance
-    free = attachments.weigh(problem, naming)
-    more = free if best.claim is None else attachments.weigh(problem, naming, best.fit)
+    prepared = attachments.prepare(problem)
+    free = attachments.weigh(problem, naming, prepared)
+    more = free if best.claim is None else attachments.weigh(problem, naming, prepared, best.fit)
     modes = remainder.modes(problem, naming.linear, covariance)
     findings = Findings(
         naming.null.log_evidence,
@@ -83,12 +84,12 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
     found, more_notes = verdict.found(problem, findings, best.fit, best.hypotheses)
     notes += more_notes
     tell("settings left out", 0.8)
-    about = classes.about(naming, on)
-    shown = held_out.show(problem, naming, about)
+    many = held_out.folds(problem, naming, classes.about(naming, on))
+    shown = held_out.show(problem, many, prepared)
     law: Law | None = None
     laid = _winner(findings, place) if said == "located" else None
     if laid is not None:
-        law, why = laws.law(problem, naming, on, laid, held_out.folds(problem, naming, about))
+        law, why = laws.law(problem, naming, on, laid, many)
         notes += [why] if why else []
     tell("what could be told apart", 0.93)
     grouped, ahead = _open(problem, best, findings, said)
@@ -275,6 +276,9 @@ def _rms(problem: Problem, residuals: Residuals) -> Mapping[str, tuple[float, fl
 def _remarks(problem: Problem, naming: Naming, best: _Best, findings: Findings, said: str) -> list[str]:
     """Sentences on what limits the conclusion."""
     out = []
+    for kind, factor in naming.noise.scale.items():
+        if factor > 1.3:
+            out.append(f"Neighbouring data of kind {kind} scatter {factor:.2g} times as much as stated.")
     lost = [f for f in naming.fits if not f.converged]
     if lost:
         names = ", ".join(" + ".join(f.effects) or "the null" for f in lost)

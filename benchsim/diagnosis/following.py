@@ -16,6 +16,9 @@ from benchsim.diagnosis.result import SplitBy
 
 Array = NDArray[np.float64]
 
+DECIDES = 0.1
+"""Σ P_A P_B Δ(separation²) below which a further recording decides nothing worth its while."""
+
 
 @dataclass(frozen=True)
 class Alive:
@@ -79,19 +82,19 @@ def rank(
     Returns
     -------
     tuple of SplitBy
-        ``separation_sigma``: between the two nearest hypotheses, with the recording. What decides nothing is left out.
+        ``separation_sigma``: of the most probable pair, with the recording. What decides nothing is left out.
     """
     pairs = [(a, b) for a in alive for b in alive if a is not b and not set(a.effects) <= set(b.effects)]
     if not pairs:
         return ()
+    likeliest = int(np.argmax([a.probability * b.probability for a, b in pairs]))
     now = [separation(within, a.signal, b.effects) for a, b in pairs]
     found = []
     for candidate in further:
         gram = gram_with(problem, linear, scale, candidate)
         then = [separation(within, a.signal, b.effects, gram) for a, b in pairs]
         gain = sum(a.probability * b.probability * (t**2 - n**2) for (a, b), n, t in zip(pairs, now, then, strict=True))
-        closest = int(np.argmin(now))
-        if then[closest] > now[closest] * (1 + 1e-6) or gain > 1e-6:
-            found.append((gain, SplitBy(candidate.kind, candidate.what, float(min(then)))))
+        if gain > DECIDES and then[likeliest] > 1:
+            found.append((gain, SplitBy(candidate.kind, candidate.what, float(then[likeliest]))))
     found.sort(key=lambda f: -f[0])
     return tuple(s for _, s in found)

@@ -12,6 +12,7 @@ width) are an exception: they stand where the linearisation has them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from benchsim.diagnosis import noise as noises
 from benchsim.diagnosis import screen
-from benchsim.diagnosis.attachments import Attached, weigh
+from benchsim.diagnosis.attachments import Attached, Prepared, weigh
 from benchsim.diagnosis.classes import estimate, space
 from benchsim.diagnosis.fits import Effects, Naming
 from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, whiten
@@ -73,7 +74,15 @@ class Shown:
 
 
 def folds(problem: Problem, naming: Naming, linear: Linear) -> tuple[Fold, ...]:
-    """Leave out every setting once, in at most `FOLDS` folds; none where there are fewer than `FEWEST` settings."""
+    """Leave out every setting once, in at most `FOLDS` folds; none where there are fewer than `FEWEST` settings.
+
+    Parameters
+    ----------
+    problem : Problem
+    naming : Naming
+    linear : Linear
+        The whole catalogue's amplitudes about the best fit (`classes.about`); the naming's own where nothing was found.
+    """
     settings = list(dict.fromkeys(problem.groups))
     if len(settings) < FEWEST:
         return ()
@@ -142,7 +151,7 @@ def excess(linear: Linear, residual: Array, test: NDArray[np.bool_], scale: floa
     return float(r @ r - cross @ cho_solve(factor, cross)) - int(test.sum())
 
 
-def choose(problem: Problem, fold: Fold) -> tuple[Effects, Attached | None]:
+def choose(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> tuple[Effects, Attached | None]:
     """The most probable explanation by the training settings: a set of effects, or else an attachment."""
     train = only(fold.linear, ~fold.test)
     place = {n: i for i, n in enumerate(train.names)}
@@ -156,15 +165,15 @@ def choose(problem: Problem, fold: Fold) -> tuple[Effects, Attached | None]:
     found = screen.screen(train, catalogue, train.effect, scales, weights)
     named = max(found, key=lambda h: found[h])
     plain = replace(fold.naming.linear, effect=fold.naming.linear.effect[:, :0], names=())
-    laid = weigh(problem, fold.naming, keep=~fold.test, linear=plain, log_evidence=found[()])
+    laid = weigh(problem, fold.naming, prepared, keep=~fold.test, linear=plain, log_evidence=found[()])
     if laid and laid[0].log_evidence > found[named]:
         return (), laid[0]
     return named, None
 
 
-def predict(problem: Problem, fold: Fold) -> Prediction:
+def predict(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> Prediction:
     """Choose and fit on the training settings, predict the left-out ones."""
-    effects, laid = choose(problem, fold)
+    effects, laid = choose(problem, fold, prepared)
     linear = fold.linear
     if laid is not None:
         linear = fold.naming.linear
@@ -188,29 +197,27 @@ def predict(problem: Problem, fold: Fold) -> Prediction:
     return Prediction("+".join(effects), scale, fold.naming.linear.residual, after)
 
 
-def show(problem: Problem, naming: Naming, linear: Linear) -> Shown | None:
+def show(problem: Problem, many: Sequence[Fold], prepared: tuple[Prepared, ...]) -> Shown | None:
     """Every setting left out once.
 
     Parameters
     ----------
     problem : Problem
-    naming : Naming
-    linear : Linear
-        The whole catalogue's amplitudes about the best fit (`classes.about`); the naming's own where nothing was found.
+    many : sequence of Fold
+    prepared : tuple of Prepared
 
     Returns
     -------
     Shown or None
         None where there are fewer than three settings.
     """
-    many = folds(problem, naming, linear)
     if not many:
         return None
     n = len(problem.data)
     before, after, chosen = np.full(n, np.nan), np.full(n, np.nan), []
     total_before = total_after = 0.0
     for fold in many:
-        made = predict(problem, fold)
+        made = predict(problem, fold, prepared)
         chosen.append(made.chosen)
         total_before += excess(fold.naming.linear, made.before, fold.test, made.scale)
         total_after += excess(fold.linear, made.after, fold.test, made.scale)

@@ -8,7 +8,6 @@ no catalogue.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -111,7 +110,8 @@ def attachments(angles: tuple[float, ...]) -> tuple[Attachment, ...]:
     def make(name: str, coordinate: str, basis: np.ndarray, position: np.ndarray) -> Attachment:
         lengths, zero = (0.15, 0.3, 0.6, 1.2), np.zeros(13, int)
         where = np.where(some, position, np.nan)[:, None]
-        return Attachment(name, name.split(".")[0], coordinate, "mm", basis, knots[:, None], zero, 0.5, lengths, where)
+        element, largest = name.split(".")[0], 2.0 if name == "time.shift" else 0.5
+        return Attachment(name, element, coordinate, "mm", basis, knots[:, None], zero, largest, lengths, where)
 
     return (
         make("screen.height", "screen x", by_x, x),
@@ -127,8 +127,3 @@ def further(angles: tuple[float, ...]) -> tuple[Further, ...]:
     fine = Further("observable", "the line through a microscope", np.eye(40) * 1e-8, {}, {}, shapes)
     nothing = Further("recording", "the same once more", np.eye(40), {}, {}, {k: np.zeros(40) for k in shapes})
     return nothing, fine
-
-
-def stripped(problem: Problem, **changes: object) -> Problem:
-    """The problem with fields replaced."""
-    return replace(problem, **changes)
