@@ -1,9 +1,9 @@
 """Weigh every explanation that the catalogue offers: noise, screening, refits, and the probability of each effect.
 
 The null is refitted first, and the whole catalogue differentiated once, about it. All singles and pairs are screened
-there; the most probable are refitted until no hypothesis that was only screened could still matter. What has one effect
-more or less than a refitted hypothesis is weighed again about *its* point: once a strong effect is fitted, the second is
-no longer hidden behind the curvature of the first. Larger sets grow that way from the best refitted pairs.
+there; the most probable are refitted until no hypothesis that was only screened could still matter. What has one
+effect more or less than a refitted hypothesis is weighed again about *its* point: once a strong effect is fitted, the
+second is no longer hidden behind the curvature of the first. Larger sets grow that way from the best refitted pairs.
 """
 
 from __future__ import annotations

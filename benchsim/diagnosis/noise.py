@@ -1,8 +1,8 @@
 """Noise as the data show it: a scale of the white part, and errors that neighbours share.
 
 A stated sigma alone is not enough to name anything: 5 % too small, and χ² rejects half of the clean sets. For each kind
-of datum, what is smooth along a stretch, and what the nuisances and the catalogue could do to it, is projected out
-(restricted likelihood, Patterson & Thompson 1971); what is left in stretch after stretch decides between
+of datum, what is smooth along each stretch, and what nuisances and catalogue could do to all stretches together, is
+projected out (restricted likelihood, Patterson & Thompson 1971); what is left decides between
 
     s² (B + t E_L),    (E_L)ᵢⱼ = σᵢ σⱼ exp(−|Δposition|/L),
 
@@ -10,8 +10,8 @@ B being the stated covariance there and σᵢ² its white part. The hypotheses t
 scale and shared part are averaged over the posterior, so that clean data are left alone.
 
 **Splitting a stated covariance.** Its white part is what a datum does not share with its neighbours: C_ii less the
-value that C_ij, j ≠ i, extrapolates to at j = i. Only the white part is scaled, and where that is downward, only as much
-of it as can be taken from C. What is shared (a pose, the shape of a beam) is kept as stated: once smooth modes are
+value that C_ij, j ≠ i, extrapolates to at j = i. Only the white part is scaled, and where that is downward, only as
+much of it as can be taken from C. What is shared (a pose, the shape of a beam) is kept as stated: once smooth modes are
 projected out nothing of it is left to judge it by. Not for errors that blocks share: those are nuisances.
 """
 
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ FEWEST = 16
 """A stretch with fewer data is not asked about its neighbours."""
 
 VISIBLE = 0.3
-"""Modes of nuisances and effects are projected out where they could displace a stretch by this many sigma in all."""
+"""Directions of nuisances and effects are projected out where they could displace the data by this many sigma."""
 
 SHARED = np.geomspace(0.03, 30.0, 14)
 """Variance of the shared part over that of the white part."""
@@ -54,12 +55,16 @@ BELOW_ONE = 0.2
 
 
 @dataclass(frozen=True)
-class _Stretch:
-    """One line of neighbours: its data's numbers, and per length the eigenvalues of E_L with the squares there."""
+class _Kind:
+    """All contrasts of one kind of datum, in units of their stated covariance.
 
-    index: NDArray[np.intp]
+    ``eigen``, ``data``, ``remove``: for no length and then every length, eigenvalues of E_L (n,), data (n,) and
+    orthonormal columns (n, r) in the basis where E_L is diagonal.
+    """
+
     eigen: tuple[Array, ...]
-    squares: tuple[Array, ...]
+    data: tuple[Array, ...]
+    remove: tuple[Array, ...]
 
 
 def white_part(covariance: Array, position: Array, stretch: NDArray[np.intp]) -> Array:
@@ -87,67 +92,89 @@ def removable(covariance: Array, white: Array) -> float:
     return float(np.clip(0.999 * np.linalg.eigvalsh(covariance / root[:, None] / root)[0], 0.0, 1.0))
 
 
-def _contrasts(whole: Array, position: Array, neighbours: bool) -> Array:
-    """Orthonormal contrasts free of smooth and visible modes, (n, m); ``whole`` (n, k) is in white sigmas."""
-    n = len(position)
-    if neighbours:
-        span = 2 * (position - position.min()) / max(np.ptp(position), 1e-300) - 1
-        smooth = np.polynomial.legendre.legvander(span, SMOOTH - 1)
-    else:
-        smooth = np.zeros((n, 0))
-    basis = np.linalg.qr(smooth)[0]
-    rest = whole - basis @ (basis.T @ whole)
-    if rest.shape[1]:
-        u, s, _ = np.linalg.svd(rest, full_matrices=False)
-        basis = np.column_stack([basis, u[:, (s > VISIBLE) & (np.arange(len(s)) < max(n // 2 - basis.shape[1], 0))]])
-    full = np.linalg.qr(basis, mode="complete")[0]
-    return np.asarray(full[:, basis.shape[1] :])
+def _smooth_contrasts(position: Array) -> Array:
+    """Orthonormal contrasts free of what is smooth along a stretch, (n, n − SMOOTH)."""
+    span = 2 * (position - position.min()) / max(float(np.ptp(position)), 1e-300) - 1
+    smooth = np.polynomial.legendre.legvander(span, SMOOTH - 1)
+    return np.asarray(np.linalg.qr(smooth, mode="complete")[0][:, SMOOTH:])
 
 
-def _prepare(
-    residual: Array, covariance: Array, columns: Array, sigma: Array, position: Array, lengths: Sequence[float]
-) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Eigenvalues of E_L in the contrasts' stated covariance, and the squares there, for every length (0: none)."""
-    contrast = _contrasts(columns / sigma[:, None], position, bool(lengths))
-    lower = np.linalg.cholesky(contrast.T @ (covariance / sigma[:, None] / sigma) @ contrast)
-    z = solve_triangular(lower, contrast.T @ (residual / sigma), lower=True)
-    eigen, squares = [np.zeros(len(z))], [z**2]
-    for length in lengths:
-        shared = np.exp(-np.abs(position[:, None] - position) / length)
-        half = solve_triangular(lower, contrast.T @ shared @ contrast, lower=True)
-        value, vector = np.linalg.eigh(solve_triangular(lower, half.T, lower=True))
-        eigen.append(np.maximum(value, 0))
-        squares.append((vector.T @ z) ** 2)
-    return tuple(eigen), tuple(squares)
+def _gather(
+    problem: Problem, lines: Sequence[NDArray[np.intp]], residual: Array, remove: Array, sigma: Array, lengths: Array
+) -> _Kind:
+    """Contrasts of all lines; what nuisances and effects could do in all of them *together* is kept to be removed."""
+    data, columns, rotations = [], [], []
+    for i in lines:
+        b = int(problem.block[i[0]])
+        local = i - problem.rows(b).start
+        position, unit = problem.position[i], sigma[i]
+        contrast = _smooth_contrasts(position) if len(lengths) else np.eye(len(i))
+        stated = problem.covariance[b][np.ix_(local, local)] / unit[:, None] / unit
+        lower = np.linalg.cholesky(contrast.T @ stated @ contrast)
+        both = np.column_stack([residual[i], remove[i]]) / unit[:, None]
+        both = solve_triangular(lower, contrast.T @ both, lower=True)
+        data.append(both[:, 0])
+        columns.append(both[:, 1:])
+        turned = []
+        for length in lengths:
+            shared = np.exp(-np.abs(position[:, None] - position) / length)
+            half = solve_triangular(lower, contrast.T @ shared @ contrast, lower=True)
+            turned.append(np.linalg.eigh(solve_triangular(lower, half.T, lower=True)))
+        rotations.append(turned)
+    z, x = np.concatenate(data), np.concatenate(columns)
+    x = x[:, np.linalg.norm(x, axis=0) > VISIBLE]
+    if x.shape[1]:
+        # Directions by the eigenvectors of the smaller Gram matrix: far cheaper than a decomposition of x itself.
+        wide = x.shape[1] > len(x)
+        value, vector = np.linalg.eigh(x @ x.T if wide else x.T @ x)
+        order = np.argsort(-value)[: max(len(z) // 3, 1)]
+        order = order[value[order] > VISIBLE**2]
+        x = vector[:, order] if wide else x @ vector[:, order] / np.sqrt(value[order])
+    edges = np.cumsum([0, *(len(d) for d in data)])
+    eigen, turned_z, turned_x = [np.zeros(len(z))], [z], [x]
+    for j in range(len(lengths)):
+        eigen.append(np.concatenate([np.maximum(r[j][0], 0) for r in rotations]))
+        pieces = [slice(a, b) for a, b in pairwise(edges)]
+        turned_z.append(np.concatenate([r[j][1].T @ z[s] for r, s in zip(rotations, pieces, strict=True)]))
+        turned_x.append(np.concatenate([r[j][1].T @ x[s] for r, s in zip(rotations, pieces, strict=True)]))
+    return _Kind(tuple(eigen), tuple(turned_z), tuple(turned_x))
 
 
-def _weigh(stretches: Sequence[_Stretch], lengths: Sequence[float]) -> tuple[float, Array, Array]:
+def _restricted(spread: Array, z: Array, x: Array) -> tuple[float, float, int]:
+    """ln determinant, squares and number of what is left beside ``x`` where the variances are ``spread``."""
+    weighted = x / spread[:, None]
+    lower = np.linalg.cholesky(x.T @ weighted)
+    along = solve_triangular(lower, weighted.T @ z, lower=True)
+    logdet = float(np.log(spread).sum()) + 2 * float(np.log(np.diag(lower)).sum())
+    return logdet, float(z @ (z / spread) - along @ along), len(z) - x.shape[1]
+
+
+def _weigh(kind: _Kind, lengths: Array) -> tuple[float, Array, Array]:
     """Posterior mean of ln s; mean of s² t by length (l,); probability by length (1 + l,), the first of none."""
     logs: list[float] = []
     log_scales: list[float] = []
     cells: list[tuple[int, float]] = []
     for i in range(1 + len(lengths)):
-        eigen = np.concatenate([s.eigen[i] for s in stretches])
-        squares = np.concatenate([s.squares[i] for s in stretches])
-        n = len(eigen)
         for t in (0.0,) if i == 0 else SHARED:
             prior = np.log(1 - CORRELATED) if i == 0 else np.log(CORRELATED / len(lengths) / len(SHARED))
-            spread = 1 + t * eigen
-            total = float((squares / spread).sum())
+            logdet, total, n = _restricted(1 + t * kind.eigen[i], kind.data[i], kind.remove[i])
+            if n < 1:
+                continue
             free = 0.5 * np.log(max(total / n, 1e-12))
             # The likelihood is Gaussian in ln s with variance 1/2n; its prior is too.
             variance = 1 / (2 * n)
             shrunk = free * LOG_SCALE_SIGMA**2 / (LOG_SCALE_SIGMA**2 + variance)
             for log_s, at_one in ((0.0, True), (float(shrunk), False)):
-                fit = -0.5 * (2 * n * log_s + float(np.log(spread).sum()) + total * np.exp(-2 * log_s))
+                fit = -0.5 * (2 * n * log_s + logdet + total * np.exp(-2 * log_s))
                 if not at_one:
-                    fit += (
-                        0.5 * np.log(variance / (LOG_SCALE_SIGMA**2 + variance)) - 0.5 * (log_s / LOG_SCALE_SIGMA) ** 2
-                    )
+                    fit += 0.5 * np.log(variance / (LOG_SCALE_SIGMA**2 + variance))
                     fit += np.log(2 * (BELOW_ONE if log_s < 0 else 1) / (1 + BELOW_ONE))
+                    fit -= 0.5 * (log_s / LOG_SCALE_SIGMA) ** 2
                 logs.append(prior + np.log(0.5) + fit)
                 log_scales.append(log_s)
                 cells.append((i, t))
+    if not logs:
+        return 0.0, np.zeros(len(lengths)), np.append(1.0, np.zeros(len(lengths)))
     weights = np.exp(np.array(logs) - logsumexp(logs))
     shared, probability = np.zeros(len(lengths)), np.zeros(1 + len(lengths))
     for w, log_s, (i, t) in zip(weights, log_scales, cells, strict=True):
@@ -193,28 +220,20 @@ def estimate(problem: Problem, residual: Array, remove: Array, use: NDArray[np.b
             for s in np.unique(problem.stretch[chosen & (problem.block == b)])
         ]
         long = [i for i in lines if problem.stretch[i[0]] >= 0 and len(i) >= FEWEST]
-        lengths: list[float] = []
+        lengths = np.zeros(0)
         if long:
             spacing = float(np.median([np.median(np.diff(np.sort(problem.position[i]))) for i in long]))
             span = float(np.median([np.ptp(problem.position[i]) for i in long]))
             if spacing > 0 and span > 8 * spacing:
-                lengths = list(np.geomspace(1.5 * spacing, span / 4, 6))
-        used = []
-        for i in long if lengths else lines:
-            if use is not None and not use[i[0]]:
-                continue
-            rows = problem.rows(int(problem.block[i[0]]))
-            local = i - rows.start
-            c = problem.covariance[int(problem.block[i[0]])][np.ix_(local, local)]
-            eigen, squares = _prepare(residual[i], c, remove[i], sigma[i], problem.position[i], lengths)
-            if len(eigen[0]):
-                used.append(_Stretch(i, eigen, squares))
+                lengths = np.geomspace(1.5 * spacing, span / 4, 6)
+        used = [i for i in (long if len(lengths) else lines) if use is None or use[i[0]]]
         if not used:
             scale[str(name)], correlation[str(name)] = 1.0, 0.0
             continue
-        log_s, shared, probability = _weigh(used, lengths)
+        kind = _gather(problem, used, residual, remove, sigma, lengths)
+        log_s, shared, probability = _weigh(kind, lengths)
         scale[str(name)] = float(np.exp(log_s))
-        found = lengths and probability[0] < 0.5
+        found = len(lengths) > 0 and probability[0] < 0.5
         correlation[str(name)] = float(probability[1:] @ lengths / probability[1:].sum()) if found else 0.0
         for i in lines:
             b = int(problem.block[i[0]])
@@ -223,7 +242,7 @@ def estimate(problem: Problem, residual: Array, remove: Array, use: NDArray[np.b
             if more < 0:
                 more *= removable(problem.covariance[b], white[b])
             out[b][local, local] += more * white[b][local]
-            if problem.stretch[i[0]] >= 0 and lengths:
+            if problem.stretch[i[0]] >= 0 and len(lengths):
                 apart = np.abs(problem.position[i][:, None] - problem.position[i])
                 extra = sum(v * np.exp(-apart / length) for v, length in zip(shared, lengths, strict=True))
                 out[b][np.ix_(local, local)] += extra * sigma[i][:, None] * sigma[i]
