@@ -24,7 +24,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from benchsim.diagnosis.fits import Fit, Naming
-from benchsim.diagnosis.linear import Linear, whiten
+from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.problem import Attachment, Parameter, Problem
 
 Array = NDArray[np.float64]
@@ -33,6 +33,8 @@ PRESENCE = 0.02
 """Prior probability that any attachment at all is there: that of one effect of the catalogue."""
 
 _STEPS = 21
+_ROUNDS = 3
+_STRAIGHT = 0.3
 _SMALLEST = 1e-4
 
 
@@ -51,6 +53,8 @@ class Attached:
         Posterior mean there, in the attachment's unit.
     root : (K, m)
         L a: coefficients per unit of independent standard normal amplitudes, there.
+    linear : Linear
+        What it was weighed in: nuisances, and the amplitudes of the hypothesis it is laid on.
     """
 
     attachment: Attachment
@@ -60,6 +64,7 @@ class Attached:
     scale: float
     coefficients: Array
     root: Array
+    linear: Linear
 
 
 @dataclass(frozen=True)
@@ -150,45 +155,100 @@ def weigh(
         Most probable first; empty where the problem has no attachments.
     """
     on = on or naming.null
-    base = absorb(problem, on.linear if linear is None else linear)
+    plain = on.linear if linear is None else linear
     known = on.log_evidence if log_evidence is None else log_evidence
-    prior = float(np.log(PRESENCE / (1 - PRESENCE) / max(1, len(prepared))))
-    found = [
-        _one(p, whiten(problem, naming.noise.covariance, p.basis)[0], base, naming, keep, known + prior)
-        for p in prepared
-    ]
+    offset = known - _alone(naming, absorb(problem, plain), keep) + _prior(problem)
+    found = [_one(problem, p, plain, naming, keep, offset) for p in prepared]
     return tuple(sorted(found, key=lambda a: -a.log_evidence))
 
 
+def refine(problem: Problem, naming: Naming, prepared: tuple[Prepared, ...], laid: Attached, on: Fit) -> Attached:
+    """Weigh an attachment again about the nuisances that it leaves, until the prediction there is what was expected.
+
+    Nuisances fitted without the function stand where they imitate it, and the prediction's bending between there and
+    where they belong can be larger than the difference of two explanations. The function itself stays linear.
+
+    Parameters
+    ----------
+    problem : Problem
+    naming : Naming
+    prepared : tuple of Prepared
+    laid : Attached
+    on : Fit
+        What it is laid on.
+    """
+    own = next(p for p in prepared if p.attachment.name == laid.attachment.name)
+    offset = on.log_evidence - _alone(naming, absorb(problem, on.linear), None) + _prior(problem)
+    white, _ = whiten(problem, naming.noise.covariance, own.attachment.basis)
+    p = len(problem.nuisances)
+    here = np.array([on.values.get(q.name, 0.0) / q.sigma for q in problem.nuisances])
+    values = dict(on.values)
+    predicted = predict_all(problem, values)
+    for _ in range(_ROUNDS):
+        base = absorb(problem, laid.linear)
+        pull, _ = nuisance_posterior(base, base.residual - white @ laid.coefficients, laid.scale)
+        step = pull[:p] - here
+        at = {**values, **{q.name: float(x * q.sigma) for q, x in zip(problem.nuisances, pull[:p], strict=True)}}
+        there = predict_all(problem, at)
+        bent = whiten(problem, naming.noise.covariance, there - predicted)[0] - laid.linear.nuisance @ step
+        if not np.isfinite(bent).all() or np.linalg.norm(bent) < _STRAIGHT:
+            break
+        known = amplitudes(problem, laid.linear.names)
+        laid = _one(problem, own, linearise(problem, at, known, naming.noise.covariance), naming, None, offset)
+        here, predicted, values = pull[:p], there, at
+    return laid
+
+
+def _prior(problem: Problem) -> float:
+    """ln of the odds of any one attachment to be there."""
+    return float(np.log(PRESENCE / (1 - PRESENCE) / max(1, len(problem.attachments))))
+
+
+def _cells(naming: Naming, base: Linear, nn: Array, nb: Array, rr: float) -> list[tuple[float, float, Array]]:
+    """At every setting scale: the scale, ln of its weight times the likelihood, and the inner matrix solved for nb."""
+    out = []
+    for scale, weight in zip(naming.setting_scales, naming.scale_weights, strict=True):
+        s = np.where(base.scaled, float(scale), 1.0)
+        factor = cho_factor(np.diag(s**-2.0) + nn, lower=True)
+        solved = cho_solve(factor, nb)
+        logdet = 2 * float(np.log(np.diag(factor[0])).sum() + np.log(s).sum())
+        chi2 = rr - float(nb[:, 0] @ solved[:, 0])
+        out.append((float(scale), float(np.log(weight)) - 0.5 * (chi2 + logdet), solved))
+    return out
+
+
+def _alone(naming: Naming, base: Linear, keep: NDArray[np.bool_] | None) -> float:
+    """ln Z of the data without any function, but for a constant of the data and the prior of presence."""
+    use = slice(None) if keep is None else keep
+    n_cols, r = base.nuisance[use], base.residual[use]
+    cells = _cells(naming, base, n_cols.T @ n_cols, (n_cols.T @ r)[:, None], float(r @ r))
+    return float(logsumexp([c[1] for c in cells]))
+
+
 def _one(
+    problem: Problem,
     prepared: Prepared,
-    white: Array,
-    base: Linear,
+    plain: Linear,
     naming: Naming,
     keep: NDArray[np.bool_] | None,
-    log_evidence: float,
+    offset: float,
 ) -> Attached:
+    """One attachment; ``offset`` turns ln Z as `_alone` gives it into that of the fits."""
+    white, _ = whiten(problem, naming.noise.covariance, prepared.basis)
+    base = absorb(problem, plain)
     use = slice(None) if keep is None else keep
     n_cols, r, b_cols = base.nuisance[use], base.residual[use], white[use]
     both = np.column_stack([r, b_cols])
-    nn, nb, bb = n_cols.T @ n_cols, n_cols.T @ both, b_cols.T @ both
+    nb, bb = n_cols.T @ both, b_cols.T @ both
     attachment = prepared.attachment
     rms = np.geomspace(attachment.sigma * _SMALLEST, attachment.sigma, _STEPS)
     # Uniform in the rms itself, on a grid that is even in its logarithm.
     log_prior = np.log(rms / rms.sum() / len(prepared.roots))
     best = (-np.inf, 0.0, 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
     terms: list[Array] = []
-    plain: list[float] = []
     # As `linear.marginal`, with the products of the data taken once for all scales and lengths.
-    for scale, weight in zip(naming.setting_scales, naming.scale_weights, strict=True):
-        s = np.where(base.scaled, float(scale), 1.0)
-        factor = cho_factor(np.diag(s**-2.0) + nn, lower=True)
-        solved = cho_solve(factor, nb)
+    for scale, known, solved in _cells(naming, base, n_cols.T @ n_cols, nb, float(r @ r)):
         gram = bb - nb[:, 1:].T @ solved
-        chi2 = float(r @ r - nb[:, 0] @ solved[:, 0])
-        logdet = 2 * float(np.log(np.diag(factor[0])).sum() + np.log(s).sum())
-        known = float(np.log(weight)) - 0.5 * (chi2 + logdet)
-        plain.append(known)
         for length, root in zip(attachment.lengths, prepared.roots, strict=True):
             values, vectors = np.linalg.eigh(root.T @ gram[:, 1:] @ root)
             values = np.clip(values, 0, None)
@@ -200,8 +260,7 @@ def _one(
             k = int(np.argmax(cells))
             if cells[k] > best[0]:
                 mean = root @ (vectors @ (shrink[k] * u))
-                best = (float(cells[k]), float(rms[k]), length, float(scale), mean, root * rms[k])
-    total = float(logsumexp(np.concatenate(terms)) - logsumexp(plain)) + log_evidence
-    seen = bool(np.any(white))
+                best = (float(cells[k]), float(rms[k]), length, scale, mean, root * rms[k])
+    total = float(logsumexp(np.concatenate(terms))) + offset if np.any(white) else -np.inf
     lifted, root = prepared.lift @ best[4], prepared.lift @ best[5]
-    return Attached(attachment, total if seen else -np.inf, best[1], best[2], best[3], lifted, root)
+    return Attached(attachment, total, best[1], best[2], best[3], lifted, root, plain)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,17 @@ from benchsim.diagnosis.linear import Linear, nuisance_posterior, predict_all, w
 from benchsim.diagnosis.location import Explanation
 from benchsim.diagnosis.naming import name
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.result import Class, Diagnosis, Law, Location, Residuals, SplitBy
+from benchsim.diagnosis.result import Class, Diagnosis, Found, Law, Location, Residuals, SplitBy
 from benchsim.diagnosis.verdict import Findings
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+
+REFINED = 4
+"""Attachments that are weighed about their own nuisances."""
+
+CONCERN = 12.0
+"""ln Z behind the best at which an attachment is left as it is."""
 
 
 def diagnose(problem: Problem, progress: Progress | None = None) -> Diagnosis:
@@ -57,16 +63,31 @@ class _Best:
     space: Space
 
 
-def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
-    """Everything after the hypotheses of the catalogue have been weighed."""
+@dataclass(frozen=True)
+class Judged:
+    """What is said, before it is tested on settings left out.
+
+    ``on`` is the hypothesis that stands, the null where no name does; ``best`` the catalogue's, whether it stands or not.
+    """
+
+    verdict: str
+    found: tuple[Found, ...]
+    place: Location | None
+    on: Fit
+    best: _Best
+    findings: Findings
+    prepared: tuple[attachments.Prepared, ...]
+    notes: tuple[str, ...]
+
+
+def judge(problem: Problem, naming: Naming) -> Judged:
+    """Let names and functions without a name compete, look for what is left, and apply the rules."""
     notes: list[str] = []
     best = _best(problem, naming, notes)
-    tell("functions without a name", 0.62)
-    covariance = naming.noise.covariance
     prepared = attachments.prepare(problem)
-    free = attachments.weigh(problem, naming, prepared)
-    more = free if best.claim is None else attachments.weigh(problem, naming, prepared, best.fit)
-    modes = remainder.modes(problem, naming.linear, covariance)
+    free = _weigh(problem, naming, prepared, naming.null)
+    more = free if best.claim is None else _weigh(problem, naming, prepared, best.fit)
+    modes = remainder.modes(problem, naming.linear, naming.noise.covariance)
     findings = Findings(
         naming.null.log_evidence,
         best.claim,
@@ -76,18 +97,28 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
         _left(problem, naming.null, modes),
         _left(problem, best.fit, modes),
     )
-    tell("where it is", 0.75)
     on = best.fit if findings.stands else naming.null
     missing = findings.claim is not None or findings.something_left
     place = _place(problem, naming, best, findings, modes, on) if missing else None
     said = verdict.verdict(findings, place)
     found, more_notes = verdict.found(problem, findings, best.fit, best.hypotheses)
-    notes += more_notes
+    return Judged(said, found, place, on, best, findings, prepared, (*notes, *more_notes))
+
+
+def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
+    """Everything after the hypotheses of the catalogue have been weighed."""
+    tell("functions without a name", 0.62)
+    judged = judge(problem, naming)
+    said, place, on, best, findings = judged.verdict, judged.place, judged.on, judged.best, judged.findings
+    notes = list(judged.notes)
     tell("settings left out", 0.8)
-    many = held_out.folds(problem, naming, classes.about(naming, on))
-    shown = held_out.show(problem, many, prepared)
-    law: Law | None = None
     laid = _winner(findings, place) if said == "located" else None
+    about = classes.about(naming, on)
+    if laid is not None:
+        about = replace(about, residual=laid.linear.residual, nuisance=laid.linear.nuisance)
+    many = held_out.folds(problem, naming, about)
+    shown = held_out.show(problem, many, judged.prepared)
+    law: Law | None = None
     if laid is not None:
         law, why = laws.law(problem, naming, on, laid, many)
         notes += [why] if why else []
@@ -101,7 +132,7 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
     tell("done", 1.0)
     return Diagnosis(
         verdict=said,
-        effects=found,
+        effects=judged.found,
         classes=grouped,
         location=place,
         law=law,
@@ -155,6 +186,24 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> _Best:
     return null
 
 
+def _weigh(
+    problem: Problem, naming: Naming, prepared: tuple[attachments.Prepared, ...], on: Fit
+) -> tuple[Attached, ...]:
+    """All attachments on one hypothesis, those that could matter about their own nuisances."""
+    laid = list(attachments.weigh(problem, naming, prepared, on))
+    seen: set[str] = set()
+    for _ in range(REFINED):
+        top = [a for a in laid if a.attachment.name not in seen and a.log_evidence > laid[0].log_evidence - CONCERN]
+        # What explains no more than nothing does need not be known to a digit.
+        if not top or top[0].log_evidence < on.log_evidence - CONCERN:
+            break
+        seen.add(top[0].attachment.name)
+        again = attachments.refine(problem, naming, prepared, top[0], on)
+        laid = [again if a.attachment.name == again.attachment.name else a for a in laid]
+        laid.sort(key=lambda a: -a.log_evidence)
+    return tuple(laid)
+
+
 def _left(problem: Problem, fit: Fit, modes: remainder.Modes) -> remainder.Remainder:
     return remainder.remainder(attachments.absorb(problem, fit.linear), modes, fit.setting_scale)
 
@@ -173,7 +222,7 @@ def _place(
         a = laid.attachment
         coordinate.setdefault(a.element, a.coordinate)
         white, _ = whiten(problem, covariance, a.basis)
-        with_it = attachments.with_columns(attachments.absorb(problem, base.linear), white @ laid.root)
+        with_it = attachments.with_columns(attachments.absorb(problem, laid.linear), white @ laid.root)
         good = remainder.remainder(with_it, modes, laid.scale).acceptable
         explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, good))
     if not rest:
@@ -244,7 +293,7 @@ def _residuals(
         after = problem.data - predict_all(problem, on.values)
     else:
         # To first order: the function at its most probable, then nuisances and amplitudes fitted anew.
-        base = attachments.absorb(problem, on.linear)
+        base = attachments.absorb(problem, laid.linear)
         white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
         rest = base.residual - white @ laid.coefficients
         pull, _ = nuisance_posterior(base, rest, laid.scale)

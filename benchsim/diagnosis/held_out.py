@@ -164,7 +164,8 @@ def choose(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> tupl
     scales, weights = fold.naming.setting_scales, fold.naming.scale_weights
     found = screen.screen(train, catalogue, train.effect, scales, weights)
     named = max(found, key=lambda h: found[h])
-    plain = replace(fold.naming.linear, effect=fold.naming.linear.effect[:, :0], names=())
+    # About the same point as the names: else they would be weighed on two different scales.
+    plain = replace(fold.linear, effect=fold.linear.effect[:, :0], names=())
     laid = weigh(problem, fold.naming, prepared, keep=~fold.test, linear=plain, log_evidence=found[()])
     if laid and laid[0].log_evidence > found[named]:
         return (), laid[0]
@@ -176,7 +177,6 @@ def predict(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> Pre
     effects, laid = choose(problem, fold, prepared)
     linear = fold.linear
     if laid is not None:
-        linear = fold.naming.linear
         white, _ = whiten(problem, fold.naming.noise.covariance, laid.attachment.basis)
         return Prediction(
             laid.attachment.name, laid.scale, linear.residual, linear.residual - white @ laid.coefficients

@@ -187,7 +187,7 @@ def law(problem: Problem, naming: Naming, on: Fit, laid: Attached, many: Sequenc
     coefficients, found = laid.coefficients, {}
     if sparse:
         white, _ = whiten(problem, naming.noise.covariance, attachment.basis)
-        terms, amplitudes = select(attachment, white, absorb(problem, on.linear), laid.scale)
+        terms, amplitudes = select(attachment, white, absorb(problem, laid.linear), laid.scale)
         coefficients = at_knots(attachment, terms) @ amplitudes
         found = _printed(attachment, terms, amplitudes)
     return Law(
