@@ -59,9 +59,8 @@ def main() -> None:
 
         result = jobs.diagnose(recording, out, against=args.against, pictures=args.pictures, progress=progress)
         whole = time.perf_counter() - start
-        print(
-            f"{len(result.problem.names)} exposures, {len(result.problem.data)} data, verdict {result.diagnosis.verdict}"
-        )
+        problem, verdict = result.problem, result.diagnosis.verdict
+        print(f"{len(problem.names)} exposures, {len(problem.data)} data, verdict {verdict}")
         for what, seconds in stages.items():
             print(f"{seconds:8.1f} s  {what}")
         said = "met" if written[0] <= BAR else "missed"

@@ -129,7 +129,10 @@ class IsolabilityResult:
                 settings=len({e.setting for e in r.exposures}),
                 against=self.against,
                 observables=self.observables,
-                effects=tuple((e.name, e.element) for e in self.effects),
+                effects=tuple(
+                    (e.name, e.element)
+                    for e in sorted(self.effects, key=lambda e: bench_effects.ELEMENTS.index(e.element))
+                ),
                 limits=self.limits,
                 at_cap=self.at_cap,
                 separation=self.separation,

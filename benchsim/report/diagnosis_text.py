@@ -85,10 +85,24 @@ def summary(d: Diagnosis, about: About) -> str:
     parts += [_wrapped(f"Dropped: {sentence}") for sentence in about.lost]
     parts += [_wrapped(sentence) for sentence in (*about.remarks, *d.notes)]
     if about.defaults:
-        parts.append(_wrapped("Defaults taken for what the file leaves out: " + "; ".join(about.defaults) + "."))
+        parts.append(defaults_text(about.defaults))
     if about.amended:
         parts.append(_wrapped(about.amended))
     return "\n\n".join(parts)
+
+
+def defaults_text(defaults: Sequence[str]) -> str:
+    """Defaults taken, those of several exposures together: ``exposure[1, 2, 4].time_s = 0.0``."""
+    grouped: dict[tuple[str, str], list[str]] = {}
+    for text in defaults:
+        table, bracket, rest = text.partition("[")
+        number, close, key = rest.partition("]")
+        if table == "exposure" and bracket and close:
+            grouped.setdefault((table, key), []).append(number)
+        else:
+            grouped[text, ""] = []
+    words = [f"{start}[{', '.join(n)}]{key}" if n else start for (start, key), n in grouped.items()]
+    return fill(f"Defaults taken for what the file leaves out: {'; '.join(words)}.", WIDTH, break_long_words=False)
 
 
 def rounded(size: Size) -> str:
@@ -115,7 +129,7 @@ def odds(margin: float) -> str:
 
 def unit_text(unit: str) -> str:
     """A pure number has no unit; ``1e-3`` is a factor."""
-    return {"1": "", "1e-3": "×10⁻³"}.get(unit, unit)
+    return {"1": "", "1e-3": "×10⁻³"}.get(unit, unit.replace("^2", "²"))
 
 
 def number(n: int, noun: str) -> str:
@@ -235,8 +249,7 @@ def _better(d: Diagnosis) -> Iterator[str]:
             yield _wrapped("Residuals before → after, rms, settings fitted: " + ", ".join(rows) + ".")
     held = d.held_out
     if held is None:
-        yield _wrapped("Fewer than three settings: nothing can be shown on settings that were not fitted.")
-        return
+        return  # fewer than three settings, as the notes say
     before, after = held.excess_chi2_before, held.excess_chi2_after
     start = f"Left out in turn ({held.folds} folds, {held.data} data) and predicted from the other settings, "
     if d.verdict == "nothing-missing":
@@ -309,7 +322,7 @@ def limit_rows(limits: Mapping[str, Limit]) -> list[str]:
     cells = [f"{name.split('.')[0]:<22}{size_text(v)}" for name, v in limits.items()]
     half = (len(cells) + 1) // 2
     right = [*cells[half:], ""]
-    return [f"  {a:<48}{b}".rstrip() for a, b in zip(cells[:half], right, strict=False)]
+    return [f"  {a:<50}{b}".rstrip() for a, b in zip(cells[:half], right, strict=False)]
 
 
 def _settings(d: Diagnosis) -> Iterator[str]:

@@ -9,7 +9,7 @@ from math import isfinite
 from textwrap import fill
 
 from benchsim.diagnosis.result import Limit
-from benchsim.report.diagnosis_text import KINDS, SIMULATION, WIDTH, number, size_text, unit_text
+from benchsim.report.diagnosis_text import KINDS, SIMULATION, WIDTH, defaults_text, number, size_text, unit_text
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def isolability(p: Plan) -> str:
     else:
         lines.append(f"Every two that can be seen are {p.close:g} sigma apart or more at their caps.")
     if p.defaults:
-        lines.append(_paragraph("Defaults taken for what the file leaves out", p.defaults))
+        lines.append(defaults_text(p.defaults))
     return "\n".join(lines)
 
 
