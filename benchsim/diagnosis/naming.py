@@ -212,22 +212,23 @@ def _refit(
         own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])
     prior = screen.log_prior(effects, list(catalogue.effects))
     solved = refit.fit(context, h, starts, _nearest(effects, done), own, prior)
-    if h.shapes and not _shape_is_seen(h, solved):
-        # Laplace fails where the amplitude is too small to say where: the sum over the grid stands.
-        summed = _log_z_about(context, catalogue, context.whiten(catalogue.columns), done[()], [effects])[effects]
-        solved = replace(solved, fit=replace(solved.fit, log_evidence=summed))
+    unseen = _unseen_shapes(h, solved.fit)
+    if unseen:
+        # Laplace fails where an amplitude is too small to say where: the sum over the grid stands, about the best fit
+        # of the rest. It asks for no convergence in a shape that has many peaks, only for that fit's.
+        rest = max((s for e, s in done.items() if set(e) <= set(effects) - unseen), key=lambda s: s.fit.log_evidence)
+        summed = _log_z_about(context, catalogue, context.whiten(catalogue.columns), rest, [effects])[effects]
+        solved = replace(solved, fit=replace(solved.fit, log_evidence=summed, converged=rest.fit.converged))
     return solved
 
 
-def _shape_is_seen(h: Hypothesis, solved: Solved) -> bool:
-    """Every effect with shapes has an amplitude of at least four sigma."""
-    fit = solved.fit
-    for e in h.effects:
-        if evidence.shapes(e):
-            own = [p.name for p in evidence.amplitudes(e)]
-            if max(abs(fit.values[n]) / max(fit.sigma[n], 1e-300) for n in own) < 4:
-                return False
-    return True
+def _unseen_shapes(h: Hypothesis, fit: Fit) -> set[str]:
+    """Effects with shapes whose amplitudes all stay below four sigma."""
+    return {
+        e.name
+        for e in h.effects
+        if evidence.shapes(e) and all(abs(fit.values[p.name]) < 4 * fit.sigma[p.name] for p in evidence.amplitudes(e))
+    }
 
 
 def _best_nodes(context: Context, catalogue: Catalogue, h: Hypothesis, source: Solved) -> list[tuple[int, ...]]:

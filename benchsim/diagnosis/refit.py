@@ -2,8 +2,8 @@
 
 Gauss-Newton on nuisances, own amplitudes (in fit space, value**power) and shape parameters together. The residual is
 always exact; a step is taken only if the exact objective falls (shortened until it does). Derivatives by the
-hypothesis' own parameters are recomputed after every descent; those by the nuisances are taken over from the nearest point where
-they are known, *if* a central difference along a random combination of all of them, one posterior sigma each, agrees
+hypothesis' own parameters are recomputed after every descent; those by the nuisances are taken over from the nearest
+point where they are known, *if* a central difference along a random combination of all of them, one posterior sigma each, agrees
 there; otherwise they are recomputed. A fit counts as converged when, with derivatives renewed, less than `STILL` could
 be gained, and when a second start ends nowhere better. An unconverged fit steals the name.
 
