@@ -93,7 +93,7 @@ def effects(tables: Effects, fields: Mapping[str, Field], mirror: Mirror, *, gat
     Raises
     ------
     BenchsimError
-        ``tilt_k`` of a facet that the mirror has not, or together with ``tilt_rms``.
+        ``tilt_k`` of a facet that the mirror has not, or together with ``tilt_rms``; glass of negative thickness.
     """
 
     def of(name: str, key: str, unit: float = 1e-3) -> float:
@@ -116,6 +116,8 @@ def effects(tables: Effects, fields: Mapping[str, Field], mirror: Mirror, *, gat
     if rms and not gated:
         pattern = ndtri((k + 0.5) / n)
         lean += rms * pattern / np.sqrt(np.mean(pattern**2))
+    if of("second-surface", "glass", 1.0) < 0:
+        raise BenchsimError(f"effects.second-surface.glass: {of('second-surface', 'glass', 1.0):g} mm; give 0 or more")
     phases, leans = np.zeros(1), lean[:, None]
     if "lean" in fields:
         phases = np.array(fields["lean"].knots[0])
