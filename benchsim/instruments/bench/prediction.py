@@ -97,6 +97,8 @@ class Predict:
         Parameters that have no effect on their own.
     aside : frozenset of str
         Parameters that do not bear on the light before the board.
+    samples : int
+        Points of the curve.
     """
 
     recording: Recording
@@ -104,6 +106,7 @@ class Predict:
     owners: Mapping[str, str]
     shapes: frozenset[str]
     aside: frozenset[str]
+    samples: int = SAMPLES
     cache: dict[Any, Curve] = field(default_factory=dict, compare=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:

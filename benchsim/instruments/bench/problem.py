@@ -19,6 +19,7 @@ from benchsim.bench.model import Physics, Recording
 from benchsim.bench.place import place
 from benchsim.bench.settings import NAMES, OF_THE_SEAT, prior_sigma, screen_seats
 from benchsim.diagnosis.problem import Effect, Parameter, Problem, Values
+from benchsim.instruments.bench.attachments import attachments
 from benchsim.instruments.bench.effects import BY_NAME, candidates, simulated, terms
 from benchsim.instruments.bench.observed import Observed
 from benchsim.instruments.bench.prediction import SAMPLES, SHAPES, UNITS, Block, Predict, Response
@@ -38,7 +39,9 @@ GAIN_SIGMA = 1.0
 """Of the logarithm of the light in an exposure, which is free; data are centred, so that it is nearly 0."""
 
 
-def build(recording: Recording, observed: tuple[Observed, ...], *, against: str = "bench") -> Problem:
+def build(
+    recording: Recording, observed: tuple[Observed, ...], *, against: str = "bench", attached: bool = True
+) -> Problem:
     """The problem of a recording.
 
     Parameters
@@ -48,6 +51,9 @@ def build(recording: Recording, observed: tuple[Observed, ...], *, against: str 
         Of its exposures, those that were lost left out.
     against : {"bench", "vector"}
         The simulation in doubt: exactly the file's ``[physics]`` and ``[effects]``, or ``[physics]`` all false.
+
+    attached : bool
+        Whether to compute the attachments (seconds for a dozen exposures); limits and isolability do without.
 
     Returns
     -------
@@ -96,6 +102,7 @@ def build(recording: Recording, observed: tuple[Observed, ...], *, against: str 
         nuisances=nuisances(recording, predict),
         catalogue=catalogue,
         predict=predict,
+        attachments=attachments(predict) if attached else (),
     )
 
 
@@ -208,7 +215,7 @@ def _response(doubted: Recording, recording: Recording, o: Observed) -> Response
     p = doubted.physics
     # A simulation without beam has no profile; what it lacks is then judged by the full one's.
     physics = p if p.beam else Physics(recording.mirror.shape == "polygon", True, True)
-    q: Array = 0.04 * np.arange(-500.0, 501.0)
+    q: Array = 0.05 * np.arange(-400.0, 401.0)
     curve, light = rays.irradiance_profiles(
         recording.laser,
         recording.mirror,
@@ -217,7 +224,7 @@ def _response(doubted: Recording, recording: Recording, o: Observed) -> Response
         place(recording.mirror, exposure),
         q,
         facet=exposure.facet,
-        samples=SAMPLES,
+        samples=20,
     )
     s = np.clip(signed_distance(curve, o.profile_points)[1], 0, curve.arc_length()[-1])
     index = np.interp(s, curve.arc_length(), np.arange(len(curve.points)))
