@@ -395,8 +395,8 @@ def _kick(blocks: Sequence[Local]) -> Attachment:
 def _angle(predict: Predict, blocks: Sequence[Local]) -> Attachment:
     """By differences of the ray model itself: the beam's section reaches the data through mean, width and flux."""
     waist = predict.recording.laser.waist
-    half = predict.recording.mirror.height / 2
-    axes = (waist * np.linspace(-1, 1, 5), half * np.array([-1.0, 1.0]))
+    # Along v the mirror cuts out a strip of its height, over which a smooth angle is constant or, linear, a curvature.
+    axes = (waist * np.linspace(-1, 1, 5), np.array([0.0]))
     knots = grid(axes, 2)[0]
     step = 0.1
     columns: list[list[Array]] = [[] for _ in blocks]
@@ -404,9 +404,9 @@ def _angle(predict: Predict, blocks: Sequence[Local]) -> Attachment:
     predict = replace(predict, samples=16, cache={})
     base = [predict({}, i) for i in range(len(blocks))]
     for k in range(len(knots)):
-        table = np.zeros((2, len(axes[0]), len(axes[1])))
+        table = np.zeros((2, len(axes[0]), 1))
         table.reshape(-1)[k] = 1e-3 * step
-        new = field(axes, table)
+        new = field((axes[0], (-waist, waist)), np.repeat(table, 2, axis=2))
         fields = dict(predict.recording.fields)
         fields["angle"] = summed(fields["angle"], new) if "angle" in fields else new
         bent = replace(predict, recording=replace(predict.recording, fields=fields), cache={})
