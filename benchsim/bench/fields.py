@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 Array = NDArray[np.float64]
 
@@ -118,13 +118,27 @@ def field(knots: Sequence[Sequence[float] | Array], values: Any) -> Field:
 
 def prepared(f: Field) -> Callable[..., Array]:
     """`evaluate` of one field as a function of the coordinates alone, for many calls: the table is made once."""
-    lookup = RegularGridInterpolator(f.knots, np.moveaxis(f.table(), 0, -1))
+    knots = [np.array(k) for k in f.knots]
+    table = f.table()
+    corners = np.ascontiguousarray(table.reshape(len(table), -1))
+    strides = [int(np.prod([len(k) for k in knots[i + 1 :]], dtype=int)) for i in range(len(knots))]
 
     def at(*coordinates: Any) -> Array:
         values = np.broadcast_arrays(*(np.asarray(c, float) for c in coordinates))
-        held = np.stack([np.clip(c, k[0], k[-1]) for c, k in zip(values, f.knots, strict=True)], axis=-1)
-        found = lookup(held.reshape(-1, len(f.knots)))
-        return np.asarray(found.T.reshape(len(f.values), *values[0].shape))
+        base = np.zeros(values[0].shape, dtype=np.intp)
+        parts = []
+        for c, k, stride in zip(values, knots, strides, strict=True):
+            i = np.clip(np.searchsorted(k, c, side="right") - 1, 0, len(k) - 2)
+            base += stride * i
+            parts.append(np.clip((c - k[i]) / (k[i + 1] - k[i]), 0.0, 1.0))
+        out = np.zeros((len(corners), *base.shape))
+        for which in product((0, 1), repeat=len(knots)):
+            share = np.ones(base.shape)
+            for on, part in zip(which, parts, strict=True):
+                share = share * (part if on else 1.0 - part)
+            offset = sum(on * stride for on, stride in zip(which, strides, strict=True))
+            out += share * corners[:, base + offset]
+        return out
 
     return at
 

@@ -132,7 +132,7 @@ def _with_ghost(bench: Bench, samples: int, *, width: bool) -> Curve:
     if not bench.parts.polygon.glass:
         return trace(bench, samples, width=width)
     curve = trace(bench, samples)
-    other = _ghost(bench, samples)
+    other = _ghost(bench, samples, width=False)
     assert curve.width is not None and curve.flux is not None
     if other is not None and other.flux is not None:
         d, s = signed_distance(other, curve.points)
@@ -164,7 +164,7 @@ def ghost(
     return _ghost(bench, samples)
 
 
-def _ghost(bench: Bench, samples: int) -> Curve | None:
+def _ghost(bench: Bench, samples: int, *, width: bool = True) -> Curve | None:
     """Light that the front face reflects, as if the glass were not there, with Fresnel's reflectance."""
     check(bench)
     bare = replace(bench, parts=replace(bench.parts, polygon=replace(bench.parts.polygon, glass=0.0)))
@@ -183,5 +183,7 @@ def _ghost(bench: Bench, samples: int) -> Curve | None:
         centre = nodes.mean(nodes.q)
         points, start = points + centre[:, None] * left_of(tangent), nodes.phase
     nodes = nodes._replace(q=nodes.q - centre[:, None, None])
-    wide = widths(bench, nodes) if bench.physics.beam else np.full(len(points), bench.parts.timing.shake)
+    wide = None
+    if width:
+        wide = widths(bench, nodes) if bench.physics.beam else np.full(len(points), bench.parts.timing.shake)
     return Curve(points, wide, nodes.flux, nodes.mean(nodes.phase))

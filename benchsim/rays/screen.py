@@ -128,7 +128,7 @@ def _on_surface(
             high = high + surface.height(y, z)[0]
         step = (high - start[0] - s * ray[0]) / (ray[0] - slope_y * ray[1] - slope_z * ray[2])
         s = s + step
-        if not np.fmax.reduce(np.abs(step * ray[0]).ravel(), initial=0.0) > 1e-10:
+        if not np.fmax.reduce(np.abs(step * ray[0]).ravel(), initial=0.0) > 1e-8:
             break
     return s
 

@@ -196,7 +196,7 @@ def _beam_light(
     front: bool = False,
     power: bool = False,
 ) -> tuple[Light, Array | float]:
-    """The ray, and with ``power`` the power per dt dh that it brings to the board."""
+    """The ray, and with ``power`` the power per dt dh that the first of a stack of phases brings to the board."""
     p, polygon = bench.placement, bench.parts.polygon
     lean = lean + polygon.lean(bench.facet, phase)
     glass = 0.0 if front else polygon.glass
@@ -210,9 +210,9 @@ def _beam_light(
     light = _onward(bench, x, normal, incoming, leave, passed)
     if not power:
         return light, 0.0
-    falls = density(normal)
+    falls = density(normal[0], 0)
     if area is not None:
-        falls = falls * area
+        falls = falls * area[0]
     return light, falls
 
 
@@ -312,7 +312,7 @@ def cuts(
         q = beside[0] - slant * late
         light = light.first()
         reaches = light.reaches(p)
-        weight = bench.exposure_per_phase * area * (power[0] if isinstance(power, np.ndarray) else power)
+        weight = bench.exposure_per_phase * area * power
         weight = weight / np.abs(speed)
         if light.passed is not None:
             weight = weight * light.passed
