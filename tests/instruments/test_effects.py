@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
@@ -95,5 +96,6 @@ def test_prior_is_half_the_cap_and_shapes_cover_the_light(bench):
     assert found["canting"].parameters[0].sigma == 5.0
     y, z = (next(p.grid for p in found["plume"].parameters if p.name == n) for n in ("plume_y", "plume_z"))
     for e in bench.exposures:
-        assert min(y) <= e.mirror_position[1] / 2 <= max(y)
-        assert min(z) <= e.mirror_position[2] / 2 <= max(z)
+        # The light to the board's centre crosses midway to the mirror, within a plume's width of a node.
+        assert np.abs(np.array(y) - e.mirror_position[1] / 2).min() < 90
+        assert np.abs(np.array(z) - e.mirror_position[2] / 2).min() < 90

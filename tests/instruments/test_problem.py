@@ -233,3 +233,21 @@ def test_bow_of_other_code_is_measured_within_three_sigma():
     for name, given in truth["effects"][0]["parameters"].items():
         assert abs(at[name] - given["value"]) < 3 * sd[name]
         assert sd[name] < 1e-4
+
+
+def test_what_could_be_recorded_next_shares_what_is_left_untouched(made):
+    _, problem = made
+    assert problem.further is not None
+    found = {f.what.split()[0] + (" marks" if f.kind == "observable" else ""): f for f in problem.further()}
+    assert {"repeat", "roll", "move", "photograph", "photograph marks"} <= found.keys()
+    names = {p.name for p in problem.nuisances}
+    last = problem.groups[-1]
+    for f in found.values():
+        n = len(f.covariance)
+        assert all(c.shape == (n,) for c in (*f.nuisance.values(), *f.effect.values()))
+        assert all(name in names or name in f.priors for name in f.nuisance)
+        assert {p.name for e in problem.catalogue for p in e.parameters if not p.grid} == f.effect.keys()
+    assert np.abs(found["repeat"].nuisance[f"{last}.mirror_axis_1"]).max() > 0
+    assert np.abs(found["repeat"].effect["dry"]).max() > 0
+    assert "seat2.screen_angle_x" in found["roll"].nuisance and "seat2.screen_angle_x" not in names
+    assert not any("laser" in k or "mirror" in k for k, v in found["photograph marks"].nuisance.items() if v.any())

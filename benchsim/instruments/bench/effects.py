@@ -12,7 +12,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -509,26 +509,34 @@ def candidates(recording: Recording, against: str = "bench") -> tuple[Effect, ..
 
 
 def _plume_terms(recording: Recording, own: tuple[Term, ...]) -> tuple[Term, ...]:
-    """Places of a plume where the light of this recording crosses the plane half way.
+    """Places and widths of a plume on the way of this recording's light.
 
-    The light of a point of the board crosses it midway between that point and the mirror; traces run over the whole
-    board, so three places along each coordinate lie within one of the widths of wherever the plume stands.
+    Light crosses the plane half way midway between the mirror and the point of the board that it goes to. Nodes stand
+    some 80 mm apart, so that one lies within a plume's width of wherever it is.
     """
-    points = []
-    reach = 0.35 * np.asarray(recording.screen.size, float)
+    from benchsim import rays
+
+    bare = replace(recording, effects={}, fields={})
+    crossings = []
     for exposure in recording.exposures:
         at = place(recording.mirror, exposure)
-        corners = np.array([[0.0, i * reach[0], j * reach[1]] for i in (-1, 1) for j in (-1, 1)])
-        points.append(((corners + at.centre) / 2)[:, 1:])
-    low, high = np.percentile(np.concatenate(points), [0, 100], axis=0)
+        try:
+            board = rays.predict(bare, exposure, samples=12, width=False).points
+        except BenchsimError:
+            continue
+        crossings.append(0.5 * (at.centre + at.screen_origin + board @ at.screen_rotation[:, 1:].T)[:, 1:])
+    if not crossings:
+        return own
+    low, high = np.percentile(np.concatenate(crossings), [0, 100], axis=0)
 
-    def spread(axis: int) -> tuple[float, ...]:
-        count = max(3, int(np.ceil((high[axis] - low[axis]) / 120.0)))
-        return tuple(float(x) for x in np.linspace(low[axis], high[axis], min(count, 7)).round(1))
+    def spread(axis: int, most: int) -> tuple[float, ...]:
+        count = int(np.clip(np.ceil((high[axis] - low[axis]) / 80.0), 2, most))
+        middle = (np.arange(count) + 0.5) / count
+        return tuple(float(x) for x in (low[axis] + middle * (high[axis] - low[axis])).round(1))
 
-    grids = {"plume_y": spread(0), "plume_z": spread(1)}
+    grids = {"plume_y": spread(0, 4), "plume_z": spread(1, 5), "plume_width": (40.0, 90.0)}
     return tuple(
-        t if t.name not in grids else Term(t.name, t.unit, 2 * float(np.abs(grids[t.name]).max()), grid=grids[t.name])
+        t if t.name not in grids else Term(t.name, t.unit, t.cap, one_sided=t.one_sided, grid=grids[t.name])
         for t in own
     )
 

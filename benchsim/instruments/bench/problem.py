@@ -21,8 +21,10 @@ from benchsim.bench.settings import NAMES, OF_THE_SEAT, prior_sigma, screen_seat
 from benchsim.diagnosis.problem import Effect, Parameter, Problem, Values
 from benchsim.instruments.bench.attachments import attachments
 from benchsim.instruments.bench.effects import BY_NAME, candidates, simulated, terms
+from benchsim.instruments.bench.further import Next
 from benchsim.instruments.bench.observed import Observed
 from benchsim.instruments.bench.prediction import SAMPLES, SHAPES, UNITS, Block, Predict, Response
+from benchsim.instruments.bench.simulation import simulate_one
 from benchsim.rays.camera import EFFECTS as BEYOND_THE_BOARD
 from benchsim.rays.profile import adaptive
 
@@ -103,6 +105,7 @@ def build(
         catalogue=catalogue,
         predict=predict,
         attachments=attachments(predict) if attached else (),
+        further=Next(recording, against, catalogue, build, simulate_one),
     )
 
 

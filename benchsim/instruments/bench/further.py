@@ -1,0 +1,177 @@
+"""What could be recorded next on the bench, as what it would measure.
+
+Each candidate is simulated like a recording without photographs (`simulation`) and linearised at its stated setting.
+What is left untouched keeps its nuisances, which is what makes a repeat or a rolled screen worth more than a new
+setting. Gating an ungated bench to single facets is not among them: it asks for parameters that the ungated data do not
+have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.model import Camera, Exposure, Recording
+from benchsim.diagnosis import linear
+from benchsim.diagnosis.problem import Effect, Further, Problem
+
+Array = NDArray[np.float64]
+
+LATER = 2 * 3600.0
+"""Time after the last exposure at which a setting is repeated [s]."""
+
+MOVE = 100.0
+"""Distance by which the screen is moved toward the mirror [mm]."""
+
+SUNS_DEG = ((101.0, 50.0), (150.0, 30.0), (210.0, 65.0), (260.0, 35.0))
+"""Azimuth and elevation of the laser for new settings [deg]."""
+
+ELSEWHERE_DEG = 15.0
+"""A sun nearer than this to one that was recorded is nothing new."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An exposure that could be taken: a sentence, the exposure, the cameras with it, and the kinds that count."""
+
+    kind: str
+    what: str
+    exposure: Exposure
+    cameras: dict[str, Camera]
+    kinds: str = "cwfm"
+
+
+@dataclass(frozen=True)
+class Next:
+    """``Problem.further`` of a recording.
+
+    Attributes
+    ----------
+    recording : Recording
+    against : str
+    catalogue : tuple of Effect
+        Whose amplitudes are wanted.
+    build : callable
+        `problem.build`.
+    simulate : callable
+        `simulation.simulate_one`.
+    spread : callable
+        ``map`` or a pool's, as `Problem.spread`.
+    """
+
+    recording: Recording
+    against: str
+    catalogue: tuple[Effect, ...]
+    build: Callable[..., Problem]
+    simulate: Callable[..., Any]
+    spread: Callable[..., Iterable[Any]] = map
+
+    def __call__(self) -> tuple[Further, ...]:
+        """All candidates whose trace would meet the board in view of the camera."""
+        out = []
+        for candidate in candidates(self.recording):
+            try:
+                out.append(self._one(candidate))
+            except BenchsimError:
+                # The trace would miss the board, or the camera would not see it: no candidate.
+                continue
+        return tuple(out)
+
+    def _one(self, c: Candidate) -> Further:
+        recording = replace(
+            self.recording,
+            exposures=(*self.recording.exposures, c.exposure),
+            cameras={**self.recording.cameras, **c.cameras},
+        )
+        observed = self.simulate(recording, len(recording.exposures) - 1)
+        problem = self.build(recording, (observed,), against=self.against, attached=False)
+        problem = replace(problem, spread=self.spread)
+        amplitudes = tuple(p for e in self.catalogue for p in e.parameters if not p.grid)
+        shapes = {p.name: p.grid[len(p.grid) // 2] for e in self.catalogue for p in e.parameters if p.grid}
+        whole = tuple(replace(p, blocks=None) for p in (*problem.nuisances, *amplitudes))
+        columns = linear.columns(problem, shapes, whole)
+        rows = np.flatnonzero(np.isin(problem.kind, list(c.kinds)))
+        n = len(problem.nuisances)
+        return Further(
+            c.kind,
+            c.what,
+            problem.covariance[0][np.ix_(rows, rows)],
+            {p.name: columns[rows, i] for i, p in enumerate(problem.nuisances)},
+            {p.name: p for p in problem.nuisances},
+            {p.name: columns[rows, n + i] for i, p in enumerate(amplitudes)},
+        )
+
+
+def candidates(recording: Recording) -> tuple[Candidate, ...]:
+    """What could be recorded next: repeats, moves of screen and camera, new suns."""
+    last = max(recording.exposures, key=lambda e: e.time)
+    base = replace(last, image=None, dark=None, time=last.time + 60.0)
+    out = [
+        Candidate(
+            "recording",
+            f"repeat setting {last.setting} untouched, {LATER / 3600:g} hours later",
+            replace(base, time=last.time + LATER),
+            {},
+        ),
+        Candidate(
+            "recording",
+            f"roll the screen by 180° and record setting {last.setting} again, mirror and laser untouched",
+            replace(base, screen_roll=last.screen_roll + np.pi),
+            {},
+        ),
+        Candidate(
+            "recording",
+            f"move the screen by {MOVE:g} mm toward the mirror and record setting {last.setting} again, mirror and "
+            "laser untouched",
+            replace(base, screen_shift=last.screen_shift + MOVE),
+            {},
+        ),
+    ]
+    name, moved = _moved(recording.cameras[last.camera])
+    where = ", ".join(f"{x:.0f}" for x in moved.position)
+    out.append(
+        Candidate(
+            "recording",
+            f"photograph setting {last.setting} again with camera {last.camera} moved to ({where}) mm, all else "
+            "untouched",
+            replace(base, camera=name),
+            {name: moved},
+        )
+    )
+    out.append(
+        Candidate(
+            "observable",
+            f"photograph the board's marks, laser off, with camera {last.camera} moved to ({where}) mm",
+            replace(base, camera=name),
+            {name: moved},
+            "m",
+        )
+    )
+    taken = np.array([[e.laser_azimuth, e.laser_elevation] for e in recording.exposures])
+    for azimuth, elevation in np.radians(SUNS_DEG):
+        apart = np.hypot(np.cos(elevation) * np.angle(np.exp(1j * (taken[:, 0] - azimuth))), taken[:, 1] - elevation)
+        if apart.min() < np.radians(ELSEWHERE_DEG):
+            continue
+        out.append(
+            Candidate(
+                "recording",
+                f"record a new setting, laser at azimuth {np.degrees(azimuth):.0f}°, elevation "
+                f"{np.degrees(elevation):.0f}°, mirror where setting {last.setting} has it",
+                replace(base, setting="next", laser_azimuth=float(azimuth), laser_elevation=float(elevation)),
+                {},
+            )
+        )
+    return tuple(out)
+
+
+def _moved(camera: Camera) -> tuple[str, Camera]:
+    """The camera on the other side of the board's normal, and somewhat higher or lower."""
+    x, y, z = camera.position
+    name = f"{camera.name} moved"
+    position = (x, -y if abs(y) > 50 else y + 400.0, z + (300.0 if z < 0 else -300.0))
+    return name, replace(camera, name=name, position=position)
