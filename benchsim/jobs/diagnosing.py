@@ -18,11 +18,15 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amend, effects, observables
 from benchsim.instruments.bench import problem as bench_problem
+from benchsim.instruments.bench.prediction import Predict
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import Workers, workers
 from benchsim.report import diagnosis_pictures as pictures
 from benchsim.report.diagnosis_text import About, summary
+
+FEWEST_SETTINGS = 3
+"""Below it none can be left out."""
 
 MOST_LOCATED = 4
 """Photographs in which stretches are drawn: those of the most significant."""
@@ -206,6 +210,56 @@ def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progres
     pictures.observables(folder / "observables.png", problem, d, title)
     pictures.probability(folder / "probability.png", d, problem.catalogue, title)
     _draw_located(result, folder, pool, title)
+    draw_pixels(result, folder, progress)
+
+
+def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = silent) -> None:
+    """Render every exposure again without and with what was found, and draw photograph less render.
+
+    With three settings or more each setting is rendered with effects and beam fitted to the others. A law's free
+    field is left out. Writes ``pixels.png`` and ``pixels.json``.
+    """
+    from benchsim.instruments.bench.probable import left_out, probable
+    from benchsim.jobs.comparing import compare
+    from benchsim.render import backend
+
+    d, problem, predict = result.diagnosis, result.problem, result.problem.predict
+    assert isinstance(predict, Predict)
+    progress("fitting settings for the renders", 0.8)
+    found = [f.name for f in d.effects] + [name for c in d.classes for name in c.members[0]]
+    of_effects = {p.name for e in problem.catalogue for p in e.parameters}
+    bare = {k: v for k, v in d.values.items() if k not in of_effects}
+    count = len(problem.names)
+    several = len(set(problem.groups)) >= FEWEST_SETTINGS
+    if several:
+        after = left_out(problem, found, d.values)
+        before = left_out(problem, (), bare) if found else after
+    else:
+        after = [dict(d.values)] * count
+        before = [probable(problem, problem.nuisances, bare)] * count if found else after
+    backend.use(None)
+    compared = compare(
+        result.recording, predict, before, after, progress=lambda what, done: progress(what, 0.82 + 0.17 * done)
+    )
+    rows = [
+        {"exposure": x.name, "pixels": x.pixels, "before": x.before.z_std, "after": x.after.z_std}
+        for x in compared.exposures
+    ]
+    pooled = {which: compared.pooled(which) for which in ("before", "after")}
+    plain = {"left_out": several, "exposures": rows, "pooled": pooled, "lost": list(compared.lost)}
+    write_text(folder / "pixels.json", json.dumps(plain, indent=1) + "\n")
+    strips = [
+        pictures.Strip(x.name, x.t, x.n, x.photograph, x.before.z, x.after.z, x.before.z_std, x.after.z_std)
+        for x in compared.exposures
+    ]
+    title = result.recording.title or result.recording.folder.resolve().name
+    how = "each setting rendered with what the others say" if several else "settings fitted"
+    pictures.pixels(
+        folder,
+        strips,
+        f"{title}: photographs less their renders, {how}; all pixels together {pooled['before']:.2f} → "
+        f"{pooled['after']:.2f} sigma",
+    )
 
 
 def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: str) -> None:

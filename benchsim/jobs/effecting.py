@@ -197,7 +197,7 @@ def isolability(recording: Recording, against: str = "bench", progress: Progress
     from benchsim.instruments.bench.problem import build
 
     progress("simulating what would be seen", 0.05)
-    problem = build(recording, observables.simulate(recording), against=against)
+    problem = build(recording, observables.simulate(recording), against=against, attached=False)
     with workers() as pool:
         problem = replace(problem, spread=pool.spread)
         progress("asking what every effect would do", 0.2)

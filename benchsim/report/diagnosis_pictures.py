@@ -329,3 +329,78 @@ def located(path: Path, ridge: Ridge, stretches: Sequence[Stretch], problem: Pro
     below.legend(fontsize=8, ncol=3, loc="best")
     figure.suptitle(fill(title, 110), fontsize=10)
     _save(figure, path)
+
+
+@dataclass(frozen=True)
+class Strip:
+    """One trace straightened: photograph, and what it leaves of the render in sigma, (k, m) along and across [px].
+
+    ``before_rms`` and ``after_rms`` are the rms of the whitened residuals, 1 where only noise is left.
+    """
+
+    name: str
+    along: Array
+    across: Array
+    photograph: Array
+    before: Array
+    after: Array
+    before_rms: float
+    after_rms: float
+
+
+def pixels(folder: Path, strips: Sequence[Strip], title: str) -> list[Path]:
+    """Photograph less render along every trace, before and after.
+
+    Parameters
+    ----------
+    folder : Path
+        ``pixels.png`` is written into it, and ``pixels-2.png`` … for every further twelve exposures.
+    strips : sequence of Strip
+    title : str
+
+    Returns
+    -------
+    list of Path
+    """
+    out = []
+    for page, first in enumerate(range(0, len(strips), PER_PAGE), 1):
+        out.append(folder / ("pixels.png" if page == 1 else f"pixels-{page}.png"))
+        _pixel_page(out[-1], strips[first : first + PER_PAGE], title)
+    return out
+
+
+def _pixel_page(path: Path, strips: Sequence[Strip], title: str) -> None:
+    columns = min(len(strips), 2)
+    rows = -(-len(strips) // columns)
+    figure = Figure(figsize=(6.6 * columns + 1.0, 1.95 * rows + 1.2), layout="constrained")
+    grid = figure.add_gridspec(rows, columns, hspace=0.12)
+    image = None
+    for i, strip in enumerate(strips):
+        inner = grid[i // columns, i % columns].subgridspec(3, 1, hspace=0.06)
+        extent = (strip.along[0], strip.along[-1], strip.across[0], strip.across[-1])
+        for j, (values, word) in enumerate(
+            ((strip.photograph, "photo"), (strip.before, "before"), (strip.after, "after"))
+        ):
+            axes = figure.add_subplot(inner[j])
+            axes.set_facecolor("#d9d9d9")
+            if j == 0:
+                bright = np.sqrt(np.clip(values.T, 0.0, None))
+                axes.imshow(bright, cmap="gray", aspect="auto", origin="lower", extent=extent)
+                axes.set_title(
+                    f"{strip.name}: rms {strip.before_rms:.2f} → {strip.after_rms:.2f} sigma of the pixels' noise",
+                    fontsize=9,
+                )
+            else:
+                image = axes.imshow(
+                    values.T, cmap="RdBu_r", vmin=-5, vmax=5, aspect="auto", origin="lower", extent=extent
+                )
+            axes.tick_params(labelsize=7, labelbottom=j == 2)
+            axes.set_ylabel(word, fontsize=8)
+        if i // columns == rows - 1 or i + columns >= len(strips):
+            axes.set_xlabel("along the trace (px); upward: across it (px)", fontsize=8)
+    assert image is not None
+    bar = figure.colorbar(image, ax=figure.axes, location="right", fraction=0.02, pad=0.01, aspect=40)
+    bar.set_label("photograph less render (sigma of a pixel)", fontsize=8)
+    bar.ax.tick_params(labelsize=8)
+    figure.suptitle(fill(title, 62 * columns), fontsize=10)
+    _save(figure, path)

@@ -83,7 +83,8 @@ def summary(d: Diagnosis, about: About) -> str:
     parts += list(_limits(d))
     parts += list(_settings(d))
     parts += [_wrapped(f"Dropped: {sentence}") for sentence in about.lost]
-    parts += [_wrapped(sentence) for sentence in (*about.remarks, *d.notes)]
+    if about.remarks or d.notes:
+        parts.append("\n".join(_item(sentence) for sentence in (*about.remarks, *d.notes)))
     if about.defaults:
         parts.append(defaults_text(about.defaults))
     if about.amended:
@@ -138,7 +139,15 @@ def number(n: int, noun: str) -> str:
 
 
 def _wrapped(text: str, indent: str = "") -> str:
-    return fill(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False)
+    return fill(
+        text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def _item(text: str) -> str:
+    return fill(
+        text, WIDTH, initial_indent="- ", subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
 
 
 def _headline(d: Diagnosis) -> str:
@@ -186,7 +195,7 @@ def _classes(d: Diagnosis, about: About) -> Iterator[str]:
                 continue
             says = " ".join(known[name].says for name in member if name in known)
             text = f"{' with '.join(member)}: {says}" if says else " with ".join(member)
-            lines.append(fill(text, WIDTH, initial_indent="  - ", subsequent_indent="    "))
+            lines.append(fill(text, WIDTH, initial_indent="  - ", subsequent_indent="    ", break_on_hyphens=False))
         if c.split_by is not None:
             s = c.split_by
             lines.append(_wrapped(f"To tell them apart: {_ended(s.what)} It separates them by {_sigma(s)}.", "  "))

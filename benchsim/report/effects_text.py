@@ -127,7 +127,7 @@ def _reachable(p: Plan, name: str) -> bool:
 
 
 def _paragraph(start: str, words: Sequence[str]) -> str:
-    return fill(f"{start}: {'; '.join(words)}.", WIDTH, subsequent_indent="  ", break_long_words=False)
+    return fill(f"{start}: {'; '.join(words)}.", WIDTH, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def _sigmas(x: float) -> str:
