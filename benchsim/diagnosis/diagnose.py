@@ -67,7 +67,7 @@ class _Best:
 class Judged:
     """What is said, before it is tested on settings left out.
 
-    ``on`` is the hypothesis that stands, the null where no name does; ``best`` the catalogue's, whether it stands or not.
+    ``on`` is the hypothesis that stands, the null where no name does; ``best`` is the catalogue's in either case.
     """
 
     verdict: str

@@ -28,6 +28,8 @@ ALARM = 0.01
 
 MODES = 12
 
+_HIDDEN = 1e-6
+
 
 @dataclass(frozen=True)
 class Remainder:
@@ -73,9 +75,9 @@ def modes(problem: Problem, linear: Linear, covariance: tuple[Array, ...]) -> Mo
         polynomials = np.zeros((len(problem.data), 4))
         polynomials[here] = np.polynomial.legendre.legvander(2 * (x - x.min()) / span - 1, 3)
         apart = polynomials[:, None, :] * (problem.block[:, None] == np.arange(n_blocks))[:, :, None]
-        parts = [polynomials, apart.reshape(len(here), -1), *(f * here[:, None] for f in functions if f[here].any())]
-        white = [whiten(problem, covariance, part)[0] for part in parts]
-        families[str(kind)] = np.column_stack([w / np.linalg.norm(w) for w in white])
+        parts = [*polynomials.T[:, :, None], apart.reshape(len(here), -1), *(f * here[:, None] for f in functions)]
+        white = [whiten(problem, covariance, part)[0] for part in parts if part.any()]
+        families[str(kind)] = np.column_stack([w for part in white for w in _levelled(linear, part)])
     shared: dict[str, list[int]] = {}
     for i, p in enumerate(problem.nuisances):
         if p.scaled:
@@ -84,6 +86,12 @@ def modes(problem: Problem, linear: Linear, covariance: tuple[Array, ...]) -> Mo
     if columns:
         families["pulls"] = np.column_stack(columns)
     return Modes(families)
+
+
+def _levelled(linear: Linear, part: Array) -> list[Array]:
+    """Columns scaled so that together they show as much as any other part's: what settings nearly hide counts too."""
+    visible = float(np.trace(marginal(linear, part).gram))
+    return [part / np.sqrt(visible)] if visible > _HIDDEN * float((part**2).sum()) else []
 
 
 def remainder(linear: Linear, families: Modes, scale: float) -> Remainder:

@@ -1,0 +1,45 @@
+"""Where: the rule for elements, and the scan along the lines with its rate of false alarms."""
+
+from dataclasses import replace
+
+import numpy as np
+from test_remainder import draws
+from toy import toy
+
+from benchsim.diagnosis.linear import linearise
+from benchsim.diagnosis.location import FAMILY_WISE, Explanation, locate, scan
+
+
+def test_an_element_is_claimed_over_every_other_one():
+    a, b = Explanation("screen", "z", -10.0, True), Explanation("mirror", "phase", -14.9, True)
+    assert not locate([a, b]).claimed
+    far = Explanation("mirror", "phase", -15.1, True)
+    found = locate([a, far, Explanation("screen", "y", -10.5, True)])
+    assert found.claimed and found.element == "screen" and found.coordinate == "z"
+    assert not locate([Explanation("screen", "z", -10.0, False), far]).claimed
+    assert not locate([a]).claimed
+    assert locate([]) is None
+
+
+def test_clean_lines_show_a_stretch_no_more_often_than_stated():
+    problem = toy()
+    linear = linearise(problem, {}, ())
+    hits = sum(
+        bool(scan(problem, replace(linear, residual=r), problem.covariance, 1.0))
+        for r in draws(problem, linear, 300, 3)
+    )
+    # At the stated 1 %, 9 or more of 300 happen once in 250 times.
+    assert FAMILY_WISE == 0.01
+    assert hits < 9
+
+
+def test_a_stretch_is_found_where_it_is():
+    problem = toy()
+    linear = linearise(problem, {}, ())
+    residual = next(draws(problem, linear, 1, 4))
+    rows = np.flatnonzero((problem.block == 5) & (problem.kind == "c") & (np.abs(problem.position - 0.4) < 0.22))
+    residual[rows] += 4.0
+    found = scan(problem, replace(linear, residual=residual), problem.covariance, 1.0)
+    assert found[0].exposure == "line5"
+    assert 0.1 < found[0].from_mm < found[0].to_mm < 0.7
+    assert found[0].z > 3
