@@ -13,6 +13,8 @@ to the board. With ν = s² (κ + 1/D)/λ the density of light over h' is
 by tracing the geometric ray from (t, h'), h' from p instead of h from the facet. Far out p falls as 1/h'², fringes
 averaged.
 
+What bends the light beyond a curvature (coma, say) adds 2πγ h³/3 to the phase; U is then a quadrature (`bent`).
+
 Not valid where the facet's ends or its neighbour matter across the trace (they act along it, where the sweep blurs
 everything), nor for heights of a few wavelengths.
 """
@@ -68,6 +70,24 @@ def amplitude(heights: Array, half: float, alpha: float, beta: Array, nu: Array)
     return np.sqrt(np.pi) / (2 * root) * (upper - lower + inside)
 
 
+def bent(heights: Array, half: float, alpha: float, beta: Array, nu: Array, gamma: Array) -> NDArray[np.complex128]:
+    """U(h') as `amplitude` has it, but with the phase 2πγ h³/3 over the height: (ν, γ, β, h').
+
+    ``heights``, ``beta``, ``nu`` and ``gamma`` [1/mm³] are one-dimensional. Gauss-Legendre quadrature, exact while
+    the phase over the mirror turns by less than some tens of cycles.
+    """
+    turns = 2 * half * nu.max() * (np.abs(heights).max() + half)
+    x, w = np.polynomial.legendre.leggauss(int(32 + 4 * turns))
+    h = half * x
+    source = half * w * np.exp(-alpha * h * h + beta[:, None] * h)
+    bend = np.exp(2j * np.pi / 3 * gamma[:, None] * h**3)
+    out = np.empty((len(nu), len(gamma), len(beta), len(heights)), complex)
+    for k, v in enumerate(nu):
+        wave = np.exp(1j * np.pi * v * h * (h - 2 * heights[:, None]))
+        out[k] = ((bend[:, None, :] * source).reshape(-1, len(h)) @ wave.T).reshape(out.shape[1:])
+    return out
+
+
 @dataclass(frozen=True)
 class Pattern:
     """Density over h' for a range of ν and β, ready to be sampled with weights.
@@ -75,17 +95,31 @@ class Pattern:
     A uniform number v in cell i = ⌊v n⌋ stands for h' between ``edges[i]`` and ``edges[i + 1]``, uniform within, with
     the weight Σ_k ``weights[a, i, k]`` x^k at the nearest ``nu[a]``, where x runs from −1 to 1 over ``beta`` = (low,
     high). The mean weight over v is ∫A² dh / H with A(0) = 1. Nearest is enough, since ν changes little along a trace
-    and moves no light sideways; β does move it.
+    and moves no light sideways; β does move it. So does γ, between whose nodes the sampling chooses at random in
+    proportion to their nearness: ``weights`` then run through all ``gamma`` for every ``nu``.
     """
 
     edges: Array
     weights: Array
     nu: Array
     beta: tuple[float, float]
+    gamma: Array | None = None
+
+
+BEND_STEP = 0.1
+"""Distance of γ's nodes as phase at the mirror's edge [rad]; what is bent less than a hundredth of it is not bent."""
+
+MOST_BENDS = 24
+"""Nodes of γ at most."""
 
 
 def pattern(
-    height: float, alpha: float, nu_range: tuple[float, float], beta_range: tuple[float, float], cells: int = 1024
+    height: float,
+    alpha: float,
+    nu_range: tuple[float, float],
+    beta_range: tuple[float, float],
+    cells: int = 1024,
+    gamma_range: tuple[float, float] = (0.0, 0.0),
 ) -> Pattern:
     """Tabulate the diffraction of a mirror.
 
@@ -99,6 +133,8 @@ def pattern(
         Ranges along the trace [1/mm², 1/mm].
     cells : int
         Cells over h'.
+    gamma_range : (low, high)
+        Range of γ [1/mm³].
 
     Returns
     -------
@@ -108,9 +144,21 @@ def pattern(
     nu = np.linspace(*nu_range, 16)
     x = np.cos(np.pi * (np.arange(8) + 0.5) / 8)
     beta = beta_range[0] + (x + 1) / 2 * (beta_range[1] - beta_range[0])
-    core = 3 * half + 3 / np.sqrt(nu[0])
+    edge_phase = 2 * np.pi / 3 * half**3
+    gamma, nodes, bends = None, nu, np.zeros(len(nu))
+    if max(abs(g) for g in gamma_range) * edge_phase > 0.01 * BEND_STEP:
+        count = 2 + int((gamma_range[1] - gamma_range[0]) * edge_phase / BEND_STEP)
+        gamma = np.linspace(*gamma_range, min(count, MOST_BENDS))
+        nu = np.linspace(*nu_range, max(8, 16 // len(gamma)))
+        nodes, nu, bends = nu, np.repeat(nu, len(gamma)), np.tile(gamma, len(nu))
+    # A bent phase sends what leaves the two edges aside, both to the same side.
+    aside = (bends / nu * half**2)[:, None, None]
+    core = 3 * half + 3 / np.sqrt(nu[0]) + float(np.abs(aside).max())
     fine = np.linspace(-core, core, 4097)
-    u = amplitude(fine, half, alpha, beta[:, None], nu[:, None, None])
+    if gamma is not None:
+        u = bent(fine, half, alpha, beta, nodes, gamma).reshape(-1, len(beta), len(fine))
+    else:
+        u = amplitude(fine, half, alpha, beta[:, None], nu[:, None, None])
     density = nu[:, None, None] * np.abs(u) ** 2
 
     # Beyond the core only the two edges are seen, A(±H/2)²/(4π²ν (h' ∓ H/2)²) each, fringes averaged.
@@ -119,7 +167,9 @@ def pattern(
 
     def beyond(h: Array, side: float) -> Array:
         """Light farther out than |h'| = h on one side."""
-        return edge(half)[..., None] / (h - side * half) + edge(-half)[..., None] / (h + side * half)
+        return edge(half)[..., None] / (h - side * (half + aside)) + edge(-half)[..., None] / (
+            h + side * (half - aside)
+        )
 
     far = np.geomspace(core, REACH * height, 400)
     steps = np.diff(fine) * (density[..., 1:] + density[..., :-1]) / 2
@@ -150,4 +200,4 @@ def pattern(
         fit = np.linalg.pinv(np.vander(x, degree + 1, increasing=True)) @ weights
         if np.abs(np.vander(x, degree + 1, increasing=True) @ fit - weights).max() < 1e-3 * weights.max():
             break
-    return Pattern(edges, np.moveaxis(fit, 1, 2), nu, beta_range)
+    return Pattern(edges, np.moveaxis(fit, 1, 2), nodes, beta_range, gamma)

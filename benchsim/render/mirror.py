@@ -185,7 +185,7 @@ class Hit:
     g'·N, negative on the board's front; ``lean`` a·g; ``t, h`` [mm] the point on the facet.
 
     With effects also ``x`` [mm], the board's height there, ``share``, the part of the light that glass lets through or
-    None, ``out`` g' at the mirror and ``up``, the facet's own direction of h.
+    None, ``out`` g' at the mirror, ``up``, the facet's own direction of h, ``sound``, whether the surface is met.
     """
 
     y: Any
@@ -202,11 +202,13 @@ class Hit:
     share: Any = None
     out: Vec = ()
     up: Vec = ()
+    sound: Any = None
 
     @property
     def arrives(self) -> Any:
         """Whether the light meets the mirror's outside and then the board's front."""
-        return (self.falling < 0.0) & (self.approach < 0.0) & (self.distance > 0.0)
+        arrives = (self.falling < 0.0) & (self.approach < 0.0) & (self.distance > 0.0)
+        return arrives if self.sound is None else arrives & self.sound
 
 
 def _turn(delta: Any, m: Any) -> tuple[Any, Any]:
@@ -263,11 +265,12 @@ def _onward_bent(
     approach = o.slope + dot(q, o.front)
     distance = -(o.height + dot(xi, o.front)) / approach
     v = tuple(xi[i] + distance * q[i] for i in range(3))
+    sound: Any = None
     x, y, z = 0.0 * approach, o.hit[0] + dot(v, o.across), o.hit[1] + dot(v, o.up)
     if o.landing is not None:
-        x, y, z = o.landing.land(y, z, q, approach)
+        x, y, z, sound = o.landing.land(y, z, q, approach)
         distance = distance + x / approach
-    return Hit(y, z, rho, spread, d[0] + turn, distance, approach, d[2] + kick[2], t, h, x, share, out, up)
+    return Hit(y, z, rho, spread, d[0] + turn, distance, approach, d[2] + kick[2], t, h, x, share, out, up, sound)
 
 
 def from_facet(

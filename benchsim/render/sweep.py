@@ -125,8 +125,10 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement, lenses
         else:
             with np.errstate(all="ignore"):
                 centre, ends = over_height(about, delta, wide, np, facet=which[:, None, None])
-                nu, beta = nu_and_beta_bent(about, centre, ends, laser.wavelength)
+                nu, beta, gamma = bent_pattern(about, centre, ends, laser.wavelength)
         seen = centre.arrives & (dot(centre.rho, centre.rho) < (2.5 * laser.waist) ** 2)
+        if not about.plain:
+            seen &= (np.abs(centre.y) < half[0] + 5 * MARGIN) & (np.abs(centre.z) < half[1] + 5 * MARGIN)
         alpha = (1 - about.beam.direction[2] ** 2) / laser.waist**2
 
         def span(x: Array) -> tuple[float, float]:
@@ -139,7 +141,8 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement, lenses
                 f"{recording.path}: in exposure {exposure.name} the laser's beam misses the mirror; check "
                 "mirror_position_mm and the laser's angles"
             )
-        table = pattern(mirror.height, alpha, span(nu), span(beta))
+        bends = (0.0, 0.0) if about.plain else span(gamma)
+        table = pattern(mirror.height, alpha, span(nu), span(beta), gamma_range=bends)
     return Sweep(
         optics=about,
         middle=middle,
@@ -191,24 +194,30 @@ def over_height(
     return middle, (upper, lower)
 
 
-def nu_and_beta_bent(o: Optics, centre: Hit, ends: tuple[Hit, Hit], wavelength: Any) -> tuple[Any, Any]:
-    """ν and β of `diffraction` where effects bend the light, from where it lands.
+def bent_pattern(o: Optics, centre: Hit, ends: tuple[Hit, Hit], wavelength: Any) -> tuple[Any, Any, Any]:
+    """ν, β and γ of `diffraction` where effects bend the light, from where it lands.
 
     At the board's point X the path over h is stationary at h' and bends there by λν. Since the derivative of the path
     with respect to h is up·(direction to X less that of the geometric ray), and X = X(h') makes it vanish,
     λν = up·(1 − r r)·dX/dh' / D for a ray of unit direction r that travels D. Only its magnitude counts: the amplitude
-    over the height being real, −ν gives the same light.
+    over the height being real, −ν with −γ gives the same light. γ likewise: half the path's third derivative.
     """
     upper, lower = ends
     length = dot(centre.out, centre.out) ** 0.5
     ray = tuple(c / length for c in centre.out)
-    height = 2.0 * o.half_height
-    along = tuple(c / height for c in (upper.x - lower.x, upper.y - lower.y, upper.z - lower.z))
-    motion = o.from_board(along)
-    square = dot(centre.up, motion) - dot(centre.up, ray) * dot(ray, motion)
-    nu = abs(square) / (centre.distance * length * wavelength)
+    e = o.half_height
+
+    def bend(x: Any, y: Any, z: Any) -> Any:
+        motion = o.from_board((x, y, z))
+        square = dot(centre.up, motion) - dot(centre.up, ray) * dot(ray, motion)
+        return square / (centre.distance * length * wavelength)
+
+    first = bend(*((getattr(upper, k) - getattr(lower, k)) / (2.0 * e) for k in "xyz"))
+    # X(h) = X(0) + first h + second h² / 2, and the path's third derivative is to second what λν is to first.
+    second = bend(*((getattr(upper, k) + getattr(lower, k) - 2.0 * getattr(centre, k)) / (e * e) for k in "xyz"))
+    nu = abs(first)
     beta = -2.0 * dot(centre.rho, centre.up) / (o.beam.waist * o.beam.waist)
-    return nu, beta
+    return nu, beta, 0.5 * second * first / nu
 
 
 def footprint(s: Sweep) -> tuple[Array, Array]:

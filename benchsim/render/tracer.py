@@ -12,7 +12,7 @@ import numpy as np
 from benchsim.render.diffraction import Pattern
 from benchsim.render.laser import density, perpendicular
 from benchsim.render.mirror import Hit, from_facet, single_ray
-from benchsim.render.sweep import Sweep, moved, nu_and_beta, nu_and_beta_bent, over_height
+from benchsim.render.sweep import Sweep, bent_pattern, moved, nu_and_beta, over_height
 
 GHOST = 0.125
 """Share of the rays that follow the reflection at a glass front face, where there is one."""
@@ -44,16 +44,25 @@ class _Tables:
         self.weights = mi.Float(p.weights.astype(np.float32).ravel())
         self.nu0 = opaque(p.nu[0])
         self.nu_scale = opaque((self.nodes - 1) / (p.nu[-1] - p.nu[0]))
+        self.bends = 0 if p.gamma is None else len(p.gamma)
+        if p.gamma is not None:
+            self.nodes = len(p.nu)
+            self.nu_scale = opaque((self.nodes - 1) / (p.nu[-1] - p.nu[0]))
+            self.gamma0 = opaque(p.gamma[0])
+            self.gamma_scale = opaque((self.bends - 1) / (p.gamma[-1] - p.gamma[0]))
         low, high = p.beta
         self.beta0, self.beta_scale = opaque((low + high) / 2), opaque(2 / (high - low))
 
-    def sample(self, v: Any, nu: Any, beta: Any) -> tuple[Any, Any]:
-        """h' [mm] and its weight."""
+    def sample(self, v: Any, nu: Any, beta: Any, gamma: Any = None, w: Any = None) -> tuple[Any, Any]:
+        """h' [mm] and its weight; ``w`` in [0, 1) chooses between two nodes of γ."""
         x = v * self.cells
         cell = mi.UInt32(x)
         edge = dr.gather(mi.Vector2f, self.edges, cell)
         h = dr.fma(x - mi.Float(cell), edge.y, edge.x)
         node = mi.UInt32(dr.clip(dr.fma(nu - self.nu0, self.nu_scale, 0.5), 0.0, self.nodes - 0.5))
+        if self.bends:
+            place = dr.clip((gamma - self.gamma0) * self.gamma_scale, 0.0, float(self.bends - 1))
+            node = node * self.bends + dr.minimum(mi.UInt32(place + w), self.bends - 1)
         packets = self.terms // 4
         at = (node * self.cells + cell) * packets
         terms = [x for k in range(packets) for x in dr.gather(mi.Vector4f, self.weights, at + k)]
@@ -82,7 +91,7 @@ class Tracer:
         # Dimensions beyond phase, t and h: where each begins, or None.
         self.dimensions = 3 if s.beam else 1
         self._at_blur = self._take(2, s.blur > 0)
-        self._at_height = self._take(1, self.bent and self.tables is not None)
+        self._at_bend = self._take(1, self.tables is not None and self.tables.bends > 0)
         self._at_facet = self._take(1, s.differs and len(s.numbers) > 1)
         self._at_ghost = self._take(1, s.ghost)
         self._at_shake = self._take(2, self.shakes)
@@ -146,8 +155,9 @@ class Tracer:
             h = dr.fma(2.0 * u[2], o.half_height, -o.half_height)
             hit = from_facet(o, delta, t, h, dr, jitter, facet, ghost)
             return hit, density(o.beam, hit.rho, hit.spread, dr.exp) * -hit.falling
-        if self._at_height is not None:
-            return self._bent_beam(u[2], u[self._at_height], delta, t, jitter, facet, ghost)
+        if self.bent:
+            w = None if self._at_bend is None else u[self._at_bend]
+            return self._bent_beam(u[2], w, delta, t, jitter, facet, ghost)
         centre = from_facet(o, delta, t, mi.Float(0.0), dr, jitter)
         h, share = self.tables.sample(u[2], *nu_and_beta(o, centre, self.wavelength))
         hit = from_facet(o, delta, t, h, dr, jitter)
@@ -156,21 +166,16 @@ class Tracer:
     def _bent_beam(self, v: Any, w: Any, delta: Any, t: Any, jitter: Any, facet: Any, ghost: Any) -> tuple[Hit, Any]:
         """The same with diffraction where effects bend the light over the facet's height.
 
-        The light is taken from a place h on the facet, in proportion to the beam's power there, and diffracted from
-        there to where a facet that bends nothing would send h'. So diffraction moves no light's mean, as Ehrenfest's
-        theorem has it, and what effects add to the spread adds to it; how the two are correlated is left out.
+        To first order in h they change ν, to second γ; the geometric ray of h' is where the first order sends it. What
+        they do beyond, over the few millimetres of a facet, is left out.
         """
         o = self.optics
         assert self.tables is not None
         centre, (upper, lower) = over_height(o, delta, t, dr, jitter, facet, ghost)
-        nu, beta = nu_and_beta_bent(o, centre, (upper, lower), self.wavelength)
-        virtual, share = self.tables.sample(v, nu, beta)
-        # Power exp(2βh) over the height is a slope s of the density over x = h / half in [-1, 1].
-        slope = dr.clip(2.0 * beta * o.half_height, -0.9, 0.9)
-        x = (4.0 * w - 2.0 + slope) / (1.0 + dr.sqrt(dr.square(1.0 - slope) + 4.0 * slope * w))
-        hit = from_facet(o, delta, t, o.half_height * x, dr, jitter, facet, ghost)
-        part = 0.5 * (virtual / o.half_height - x)
-        hit = replace(hit, y=hit.y + part * (upper.y - lower.y), z=hit.z + part * (upper.z - lower.z), h=virtual)
+        nu, beta, gamma = bent_pattern(o, centre, (upper, lower), self.wavelength)
+        h, share = self.tables.sample(v, nu, beta, gamma, w)
+        part = 0.5 * h / o.half_height
+        hit = replace(centre, y=centre.y + part * (upper.y - lower.y), z=centre.z + part * (upper.z - lower.z), h=h)
         return hit, density(o.beam, centre.rho, centre.spread, dr.exp) * -centre.falling * share
 
     def _normal(self, u: list[Any], at: int) -> tuple[Any, Any]:
