@@ -88,8 +88,10 @@ def name(problem: Problem, progress: Progress | None = None, *, refits: int = MO
         tell("weighing singles and pairs", 0.35)
         table, done = _search(context, catalogue, solved, refits, tell)
         best = max(done.values(), key=lambda s: s.fit.log_evidence if s.fit.converged else -np.inf)
+        if attempt or not best.fit.effects:
+            break
         again = noise.estimate(problem, best.residual, remove)
-        if attempt or not _moved(found, again):
+        if not _moved(found, again):
             break
         found = again
     tell("weighing done", 1.0)

@@ -81,7 +81,9 @@ def white_part(covariance: Array, position: Array, stretch: NDArray[np.intp]) ->
         shared = np.full(n, np.nan)
         # Even in the distance: 4/3 of the nearest less 1/3 of the next but one extrapolates to 0 up to fourth order.
         shared[2:-2] = (4 * (near[1:-2] + near[2:-1]) - (far[:-2] + far[2:])) / 6
-        shared[[0, 1]], shared[[-2, -1]] = shared[2], shared[-3]
+        # At the ends there is one side only: along a straight line.
+        shared[:2] = 2 * near[:2] - far[:2]
+        shared[-2:] = 2 * near[-2:] - far[-2:]
         white[index] = np.clip(np.diag(c) - np.maximum(shared, 0), 1e-3 * np.diag(c), np.diag(c))
     return white
 

@@ -3,9 +3,9 @@
 Gauss-Newton on nuisances, own amplitudes (in fit space, value**power) and shape parameters together. The residual is
 always exact; a step is taken only if the exact objective falls (shortened until it does). Derivatives by the
 hypothesis' own parameters are recomputed after every descent; those by the nuisances are taken over from the nearest
-point where they are known, *if* a central difference along a random combination of all of them, one posterior sigma each, agrees
-there; otherwise they are recomputed. A fit counts as converged when, with derivatives renewed, less than `STILL` could
-be gained, and when a second start ends nowhere better. An unconverged fit steals the name.
+point where they are known, *if* a central difference along a random combination of all of them, one posterior sigma
+each, agrees there; otherwise they are recomputed. A fit counts as converged when, with derivatives renewed, less than
+`STILL` could be gained, and when a second start ends nowhere better. An unconverged fit steals the name.
 
 The evidence is Laplace's about that point, with the exact residual: everything Gaussian in closed form, amplitudes at a
 boundary integrated (`evidence`), setting scale and field sigma summed over their grids. A shape parameter's uniform
@@ -127,7 +127,7 @@ class Context:
 
 
 def _range(p: Parameter) -> float:
-    return float(max(p.grid) - min(p.grid)) or float(abs(p.grid[0]) or 1.0)
+    return float(max(p.grid) - min(p.grid))
 
 
 @dataclass(frozen=True)
@@ -183,6 +183,8 @@ def values(problem: Problem, hypothesis: Hypothesis, point: Point) -> dict[str, 
     for p, q in zip(hypothesis.amplitudes, point.amplitude, strict=True):
         out[p.name] = float(max(q, 0.0) ** (1 / p.power)) if p.power > 1 else float(q)
     out.update({p.name: float(s) for p, s in zip(hypothesis.shapes, point.shape, strict=True)})
+    for effect in hypothesis.effects:
+        out.update(evidence.fixed(effect))
     return out
 
 
@@ -470,9 +472,13 @@ def _solved(
             s = sd[p + i]
             slope[p + i] = (np.sqrt(q + s) - np.sqrt(max(q - s, 0.0))) / (2 * s)
     sigma.update({a.name: float(s) for a, s in zip((*h.amplitudes, *h.shapes), (sd * slope)[p:], strict=True)})
+    sigma.update({name: 0.0 for e in h.effects for name in evidence.fixed(e)})
     names = [a.name for a in (*h.amplitudes, *h.shapes)]
-    order = [names.index(a.name) for e in h.effects for a in e.parameters]
-    own_covariance = (covariance * slope[:, None] * slope)[p:, p:][np.ix_(order, order)]
+    wanted = [a.name for e in h.effects for a in e.parameters]
+    place = [i for i, name in enumerate(wanted) if name in names]
+    order = [names.index(wanted[i]) for i in place]
+    own_covariance = np.zeros((len(wanted), len(wanted)))
+    own_covariance[np.ix_(place, place)] = (covariance * slope[:, None] * slope)[p:, p:][np.ix_(order, order)]
     white = context.whiten(state.residual)
     done = Fit(
         h.names,

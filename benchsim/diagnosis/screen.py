@@ -55,8 +55,6 @@ class Catalogue:
 
 def _grid_weights(values: tuple[float, ...]) -> Array:
     """Trapezoid weights of a uniform prior over the range of the grid."""
-    if len(values) == 1:
-        return np.ones(1)
     at = np.asarray(values, float)
     order = np.argsort(at)
     gaps = np.diff(at[order])
@@ -75,6 +73,7 @@ def expand(problem: Problem, at: Values) -> Catalogue:
             own = evidence.amplitudes(effect)
             nodes[effect.name] = (Node({}, tuple(range(len(plain), len(plain) + len(own))), 0.0),)
             plain.extend(own)
+    at = {**at, **{n: v for e in problem.catalogue for n, v in evidence.fixed(e).items()}}
     parts = [linear.columns(problem, at, tuple(plain))]
     count = len(plain)
     for effect in problem.catalogue:

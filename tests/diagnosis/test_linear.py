@@ -1,0 +1,72 @@
+"""Products with the nuisances marginalised, and derivatives, against what they stand for."""
+
+import lines
+import numpy as np
+import pytest
+
+from benchsim.diagnosis import linear, settings
+from benchsim.diagnosis.problem import Parameter
+
+AMPLITUDES = tuple(p for e in lines.CATALOGUE for p in e.parameters if not p.grid)
+
+
+@pytest.fixture(scope="module")
+def about():
+    problem, _ = lines.problem({"turn": 0.2}, seed=5)
+    at = {"s1.offset": 0.3, "gain": 0.01, "turn": 0.1, "period": 0.7}
+    return problem, at, linear.linearise(problem, at, AMPLITUDES)
+
+
+def test_marginal_products_are_those_of_the_full_covariance(about):
+    _, _, lin = about
+    for scale in (1.0, 3.0):
+        s = np.where(lin.scaled, scale, 1.0)
+        full = np.eye(len(lin.residual)) + (lin.nuisance * s**2) @ lin.nuisance.T
+        found = linear.marginal(lin, lin.effect, scale)
+        np.testing.assert_allclose(found.gram, lin.effect.T @ np.linalg.solve(full, lin.effect), rtol=1e-7, atol=1e-6)
+        assert found.chi2 == pytest.approx(lin.residual @ np.linalg.solve(full, lin.residual), rel=1e-8)
+        assert found.logdet == pytest.approx(np.linalg.slogdet(full)[1] + lin.logdet, rel=1e-10)
+
+
+def test_all_scales_at_once_are_each_scale_alone(about):
+    _, _, lin = about
+    scales, weights = settings.grid()
+    assert weights.sum() == pytest.approx(1.0) and scales[0] == 1.0 and (np.diff(weights) < 0).all()
+    for scale, many in zip(scales, settings.marginals(lin, lin.effect, scales), strict=True):
+        one = linear.marginal(lin, lin.effect, scale)
+        np.testing.assert_allclose(many.gram, one.gram, rtol=1e-8, atol=1e-7)
+        np.testing.assert_allclose(many.projection, one.projection, rtol=1e-6, atol=1e-6)
+        assert (many.chi2, many.logdet, many.n) == pytest.approx((one.chi2, one.logdet, one.n))
+
+
+def test_the_residual_of_a_linear_problem_does_not_depend_on_the_point():
+    problem, _ = lines.problem({"bow_1": 0.1}, seed=2)
+    bow = AMPLITUDES[:2]
+    first = linear.linearise(problem, {}, bow)
+    second = linear.linearise(problem, {"bow_1": 0.4, "bow_2": -0.3}, bow)
+    np.testing.assert_allclose(first.residual, second.residual, atol=1e-9)
+
+
+def test_a_square_is_differentiated_by_the_square_and_only_to_the_right_of_zero():
+    problem, _ = lines.problem()
+    blur = next(p for p in AMPLITUDES if p.name == "blur")
+    step = 1e-6
+    column = linear.columns(problem, {}, (blur,), {"blur": step})[:, 0]
+    width = np.concatenate([0.3 + 0.1 * u * lines.Y for u in lines.SETTINGS])
+    np.testing.assert_allclose(column[problem.kind == "w"], 1 / (2 * width), rtol=1e-4)
+    assert not column[problem.kind == "c"].any()
+
+
+def test_a_parameter_is_differentiated_on_its_own_blocks_only():
+    problem, _ = lines.problem()
+    asked = []
+
+    def predict(values, block):
+        asked.append(block)
+        return lines.predict(values, block)
+
+    watched = lines.problem(predict=predict)[0]
+    asked.clear()
+    column = linear.columns(watched, {}, (Parameter("s2.slope", "mm", 0.3, blocks=(2,)),))[:, 0]
+    assert asked == [2, 2]
+    assert set(problem.block[column != 0]) == {2}

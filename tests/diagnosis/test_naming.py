@@ -1,0 +1,148 @@
+"""How often the right name is given, and a wrong one, on a problem that is no bench; and what a naming holds.
+
+Fixed seeds. Thresholds are the bars; with n sets a rate p passes a bar b with the binomial probability, so a tool at
+half the bar fails a run of 200 with probability 0.05, a tool at zero never.
+"""
+
+import lines
+import numpy as np
+import pytest
+
+from benchsim.diagnosis import linear, name
+from benchsim.diagnosis.problem import Problem
+
+AMPLITUDES = [p for e in lines.CATALOGUE for p in e.parameters if not p.grid]
+SURE = 0.99
+
+
+def sure(found):
+    return {k for k, v in found.probability.items() if v > SURE}
+
+
+def drawn(effect, snr, rng, gram):
+    """Values of an effect in a random direction whose whitened norm beside the settings is ``snr``."""
+    own = [i for i, a in enumerate(AMPLITUDES) if a in effect.parameters]
+    direction = rng.normal(size=len(own))
+    direction = np.array([abs(d) if AMPLITUDES[i].one_sided else d for i, d in zip(own, direction, strict=True)])
+    direction *= snr / np.sqrt(direction @ gram[np.ix_(own, own)] @ direction)
+    values = {AMPLITUDES[i].name: d ** (1 / AMPLITUDES[i].power) if d > 0 else d for i, d in zip(own, direction)}
+    if effect.name == "ripple":
+        values["period"] = rng.uniform(0.5, 0.9)
+    return values
+
+
+@pytest.fixture(scope="module")
+def gram():
+    problem, _ = lines.problem()
+    about = linear.linearise(problem, {"period": 0.7}, tuple(AMPLITUDES))
+    return linear.marginal(about, about.effect).gram
+
+
+def test_clean_sets_are_named_nothing():
+    """Two hundred sets, bar 2 %; P also has to be honest on average."""
+    wrong, unconverged, told = 0, 0, 0.0
+    for seed in range(200):
+        found = name(lines.problem(seed=seed)[0])
+        wrong += bool(sure(found))
+        unconverged += not found.null.converged
+        told += max(found.probability.values())
+    assert wrong <= 4
+    assert unconverged == 0
+    assert told / 200 < 0.1
+
+
+@pytest.mark.parametrize(
+    "how", [{"sigma": 1.3}, {"setting_scale": 3.0}, {"correlated": 1.0}], ids=["sigma", "settings", "correlated"]
+)
+def test_wrong_statements_about_errors_name_nothing(how):
+    """Bar 5 %; 25 sets each, so one may be wrong."""
+    assert sum(bool(sure(name(lines.problem(seed=seed, **how)[0]))) for seed in range(25)) <= 1
+
+
+def test_singles_are_named_and_sized(gram):
+    """Ten of each effect at SNR 8: at least 95 % exactly named; pulls of their parameters within the bar."""
+    rng, exact, pulls = np.random.default_rng(1), 0, []
+    for i in range(60):
+        effect = lines.CATALOGUE[i % 6]
+        problem, truth = lines.problem(drawn(effect, 8.0, rng, gram), seed=500 + i)
+        found = name(problem)
+        exact += sure(found) == {effect.name}
+        best = found.fits[0]
+        if best.effects == (effect.name,):
+            assert best.converged
+            pulls += [(best.values[p.name] - truth.get(p.name, 0)) / best.sigma[p.name] for p in effect.parameters]
+    assert exact >= 57
+    # 100 pulls: their standard deviation is known to 0.07.
+    assert 0.83 < np.std(pulls) < 1.22
+    assert np.mean(np.abs(pulls) > 3) <= 0.03
+
+
+def test_the_setting_scale_is_found_and_costs_no_name(gram):
+    rng, scales = np.random.default_rng(2), []
+    for seed in range(6):
+        problem, _ = lines.problem(drawn(lines.CATALOGUE[1], 12.0, rng, gram), seed=seed, setting_scale=3.0)
+        found = name(problem)
+        assert sure(found) == {"turn"}
+        scales.append(found.fits[0].setting_scale)
+    assert 2 < np.median(scales) < 4.5
+
+
+def test_pairs(gram):
+    rng, exact = np.random.default_rng(3), 0
+    for seed in range(20):
+        a, b = rng.choice(6, 2, replace=False)
+        truth = drawn(lines.CATALOGUE[a], 10.0, rng, gram) | drawn(lines.CATALOGUE[b], 10.0, rng, gram)
+        exact += sure(name(lines.problem(truth, seed=seed)[0])) == {lines.NAMES[a], lines.NAMES[b]}
+    assert exact >= 18
+
+
+def test_three_effects_are_found_one_after_the_other():
+    truth = {"turn": 0.4, "bow_1": 0.3, "tilt_0": 0.1, "tilt_1": -0.1}
+    assert sure(name(lines.problem(truth, seed=1)[0])) == {"turn", "bow", "tilts"}
+
+
+def test_what_a_naming_holds():
+    problem, _ = lines.problem({"ripple": 0.1, "period": 0.66}, seed=3)
+    told = []
+    found = name(problem, lambda what, done: told.append(done))
+    assert told == sorted(told) and told[-1] == 1.0
+    assert {e for e, _ in found.screened} >= {("bow",), ("bow", "turn"), ("blur", "tilts")}
+    assert [z for _, z in found.screened] == sorted((z for _, z in found.screened), reverse=True)
+    assert found.fits[0].effects == ("ripple",) and any(f is found.null for f in found.fits)
+    assert found.linear.names == tuple(p.name for p in AMPLITUDES)
+    best = found.fits[0]
+    assert best.linear.names == ("ripple",) and best.covariance.shape == (2, 2)
+    assert best.sigma["period"] == pytest.approx(np.sqrt(best.covariance[1, 1]))
+    assert dict(found.screened)["ripple",] == best.log_evidence
+    assert best.values["period"] == pytest.approx(0.66, abs=4 * best.sigma["period"])
+    # Noise of unit variance once whitened, nothing left in the residual beside what was fitted.
+    assert 450 < best.chi2 < 700
+
+
+def test_the_same_data_give_the_same_naming():
+    first, second = (name(lines.problem({"turn": 0.1}, seed=9)[0]) for _ in range(2))
+    assert first.probability == second.probability
+
+
+def test_predictions_are_counted_on():
+    """Refits stay below what differentiating everything once costs, four times over."""
+    calls = []
+
+    def predict(values, block):
+        calls.append(block)
+        return lines.predict(values, block)
+
+    problem, _ = lines.problem({"turn": 0.5}, seed=3, predict=predict)
+    calls.clear()
+    name(problem)
+    assert len(calls) < 1500
+
+
+def test_data_that_cannot_be_used_are_refused():
+    problem, _ = lines.problem()
+    data = problem.data.copy()
+    data[3] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        name(Problem(**{**vars(problem), "data": data}))
+    with pytest.raises(ValueError, match="block after block"):
+        name(Problem(**{**vars(problem), "block": problem.block[::-1].copy()}))

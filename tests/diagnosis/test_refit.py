@@ -1,0 +1,144 @@
+"""Refits against the truth and against an independent optimiser; what an unconverged fit may say."""
+
+import lines
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from benchsim.diagnosis import linear, naming, refit, screen, settings
+from benchsim.diagnosis.refit import Hypothesis, Known, Point
+
+BY_NAME = {e.name: e for e in lines.CATALOGUE}
+
+
+def context_of(problem):
+    return refit.Context(problem, refit.whitener(problem, problem.covariance), *settings.grid())
+
+
+def known_at_zero(problem):
+    sigma = np.array([n.sigma for n in problem.nuisances])
+    return Known(linear.columns(problem, {}, problem.nuisances) * sigma, (), np.zeros(len(sigma)))
+
+
+def fitted(problem, effects, shape=()):
+    h = Hypothesis(tuple(BY_NAME[e] for e in effects))
+    zero = Point(np.zeros(len(problem.nuisances)), np.zeros(len(h.amplitudes)), np.array(shape, float))
+    other = Point(zero.nuisance, np.array([0.5 * p.sigma**p.power for p in h.amplitudes]), zero.shape)
+    return refit.fit(context_of(problem), h, [zero, other], known_at_zero(problem))
+
+
+def cost(problem, h, theta, scale):
+    """−ln posterior, written anew."""
+    p, k = len(problem.nuisances), len(h.amplitudes)
+    at = {n.name: x * n.sigma for n, x in zip(problem.nuisances, theta, strict=False)}
+    at |= {a.name: v for a, v in zip((*h.amplitudes, *h.shapes), theta[p:], strict=True)}
+    residual = (problem.data - linear.predict_all(problem, at)) / lines.SIGMA
+    prior = [x / (scale if n.scaled else 1) for n, x in zip(problem.nuisances, theta, strict=False)]
+    return np.concatenate([residual, prior, [v / a.sigma for a, v in zip(h.amplitudes, theta[p : p + k], strict=True)]])
+
+
+@pytest.mark.parametrize(
+    ("truth", "effects", "shape"),
+    [
+        ({"turn": 1.2}, ("turn",), ()),
+        ({"bow_1": 0.2, "glass": 0.3}, ("bow", "glass"), ()),
+        ({"blur": 0.25}, ("blur",), ()),
+        ({"ripple": 0.1, "period": 0.62}, ("ripple",), (0.7,)),
+    ],
+)
+def test_the_peak_is_that_of_an_independent_optimiser(truth, effects, shape):
+    problem, _ = lines.problem(truth, seed=11)
+    fit = fitted(problem, effects, shape).fit
+    h = Hypothesis(tuple(BY_NAME[e] for e in effects))
+    start = np.array(
+        [fit.values[n.name] / n.sigma for n in problem.nuisances]
+        + [fit.values[a.name] for a in (*h.amplitudes, *h.shapes)]
+    )
+    moved = start * 1.02 + 0.002
+    best = least_squares(lambda t: cost(problem, h, t, fit.setting_scale), moved, xtol=1e-12, ftol=1e-12, gtol=1e-10)
+    ours = 0.5 * (cost(problem, h, start, fit.setting_scale) ** 2).sum()
+    assert fit.converged
+    assert ours - best.cost < 5e-3
+    for name, value in zip([a.name for a in (*h.amplitudes, *h.shapes)], best.x[len(problem.nuisances) :], strict=True):
+        assert abs(value - fit.values[name]) < 0.1 * fit.sigma[name]
+
+
+def test_laplace_evidence_against_integration_over_a_nonlinear_amplitude():
+    """turn bends the prediction by its square; integrated over it with all else refitted linearly at every value."""
+    problem, _ = lines.problem({"turn": 0.8}, seed=4)
+    solved = fitted(problem, ("turn",))
+    context = context_of(problem)
+    sigma, prior = solved.fit.sigma["turn"], BY_NAME["turn"].parameters[0].sigma
+    grid = solved.fit.values["turn"] + sigma * np.linspace(-6, 6, 49)
+    logs = []
+    for value in grid:
+        at = {**solved.fit.values, "turn": value}
+        lin = linear.linearise(problem, at, ())
+        many = settings.marginals(lin, np.zeros((len(problem.data), 0)), context.scales)
+        logs.append(np.logaddexp.reduce(settings.log_null(many, context.weights)) - 0.5 * (value / prior) ** 2)
+    total = np.logaddexp.reduce(logs) + np.log(grid[1] - grid[0]) - 0.5 * np.log(2 * np.pi * prior**2)
+    assert solved.fit.log_evidence == pytest.approx(total, abs=2e-2)
+
+
+def test_an_amplitude_pulled_below_zero_stays_there():
+    problem, _ = lines.problem({"glass": -0.1}, seed=6)
+    fit = fitted(problem, ("glass",)).fit
+    assert fit.values["glass"] == 0.0 and fit.converged
+    assert fit.log_evidence < fitted(problem, ()).fit.log_evidence
+
+
+def test_a_prediction_that_jumps_is_marked_unconverged():
+    """No step ever pays off: the derivatives point at a gain that the exact prediction does not have."""
+
+    def bad(values, block):
+        turn = values.get("turn", 0.0)
+        return lines.predict({**values, "turn": np.sign(turn) * 0.02 * np.ceil(abs(turn) / 0.02 - 0.5)}, block)
+
+    problem, _ = lines.problem({"turn": 0.2}, seed=1, predict=bad)
+    h = Hypothesis((BY_NAME["turn"],))
+    zero = Point(np.zeros(len(problem.nuisances)), np.zeros(1), np.zeros(0))
+    own = linear.columns(lines.problem()[0], {}, h.amplitudes) * -1.0
+    context = context_of(problem)
+    stuck = refit.Context(problem, context.whiten, context.scales, context.weights)
+    wrong = vars(refit)["ROUNDS"]
+    try:
+        refit.ROUNDS = 1
+        solved = refit.fit(stuck, h, [zero], known_at_zero(problem), own)
+    finally:
+        refit.ROUNDS = wrong
+    assert not solved.fit.converged
+    # What is unconverged is listed last, however probable it calls itself.
+    assert refit.fit(context, h, [zero], known_at_zero(problem)).fit.log_evidence > solved.fit.log_evidence
+
+
+def test_a_frozen_jacobian_would_name_wrongly():
+    """A strong turn, weighed about the null's point alone, takes a second name with certainty; refitted, it does not."""
+    for seed in range(3):
+        problem, _ = lines.problem({"turn": 1.0}, seed=seed)
+        named = naming.name(problem)
+        context = refit.Context(
+            problem, refit.whitener(problem, named.noise.covariance), named.setting_scales, named.scale_weights
+        )
+        catalogue = screen.expand(problem, named.null.values)
+        frozen = screen.screen(
+            named.null.linear, catalogue, context.whiten(catalogue.columns), context.scales, context.weights
+        )
+        assert max(frozen, key=frozen.get) != ("turn",)
+        assert frozen["turn",] < max(frozen.values()) - 5
+        assert named.fits[0].effects == ("turn",)
+        assert named.probability["turn"] > 0.99 and max(v for k, v in named.probability.items() if k != "turn") < 0.1
+
+
+def test_derivatives_are_renewed_where_they_no_longer_hold():
+    problem, _ = lines.problem({"turn": 0.5}, seed=2)
+    context = context_of(problem)
+    good = known_at_zero(problem)
+    rng = np.random.default_rng(0)
+    bent = Known(good.columns * rng.uniform(0.6, 1.4, good.columns.shape[1]), ("bow",), good.nuisance + 1.0)
+    h = Hypothesis((BY_NAME["turn"],))
+    zero = Point(good.nuisance, np.zeros(1), np.zeros(0))
+    right = refit.fit(context, h, [zero], good)
+    mended = refit.fit(context, h, [zero], bent)
+    assert mended.fit.converged
+    assert mended.fit.values["turn"] == pytest.approx(right.fit.values["turn"], abs=0.1 * right.fit.sigma["turn"])
+    assert mended.fit.log_evidence == pytest.approx(right.fit.log_evidence, abs=0.1)
