@@ -2,7 +2,8 @@
 
 Light is carried as the straight line on which it arrives at the board: a kick turns it about the point where it crosses
 the plane half way, a constant gradient bends it into a parabola, whose tangent at the board's plane is the line, and a
-slab displaces it.
+slab displaces it. The slab's faces are taken as coated against reflection: it takes no light, so that what it does
+grows from nothing with its thickness.
 """
 
 from __future__ import annotations
@@ -103,7 +104,7 @@ def half_way(placement: Placement) -> float:
     return float(0.5 * (placement.centre[0] + placement.screen_origin[0]))
 
 
-def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> tuple[Array, Array, Array | None]:
+def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> tuple[Array, Array]:
     """The straight line on which light from the mirror arrives at the board.
 
     Parameters
@@ -117,11 +118,9 @@ def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> 
     -------
     x, direction : (..., 3) ndarray
         A point of the line as far from the board as the mirror is, and the direction, of the same length.
-    passed : (...) ndarray or None
-        Share of the light that a window lets through (Fresnel, unpolarised, both faces); None without one.
     """
     if air.still:
-        return x, direction, None
+        return x, direction
     if air.plume[0] or air.kick is not None:
         s = (half_way(placement) - x[..., 0]) / direction[..., 0]
         crossing = x + s[..., None] * direction
@@ -138,12 +137,12 @@ def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> 
         direction = direction + s * bend
         x = x - 0.5 * s * s * bend
     if not air.window:
-        return x, direction, None
+        return x, direction
     slab = Rotation.from_rotvec([0.0, *air.turn]).as_matrix()[:, 0]
-    inside, cosine, reflectance = refracted(direction, np.broadcast_to(slab, direction.shape))
+    inside, cosine, _ = refracted(direction, np.broadcast_to(slab, direction.shape))
     straight = direction / -dot(direction, slab)[..., None]
     x = x + air.window * (inside / cosine[..., None] - straight)
-    return x, direction, (1.0 - reflectance) ** 2
+    return x, direction
 
 
 def _kick(air: AirEffects, crossing: Array) -> Array:

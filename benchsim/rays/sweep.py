@@ -86,7 +86,7 @@ class Bench:
 class Light(NamedTuple):
     """Light at the mirror and on the board: point, unit normal, directions in and out (not normalised), hit, path.
 
-    ``passed`` is the share of it that glass and window let through, None for all.
+    ``passed`` is the share of it that a mirror's glass lets through, None for all.
     """
 
     x: Array
@@ -126,9 +126,7 @@ def _onward(
     outgoing = optic.reflect(incoming, normal)
     start, way = x if leave is None else leave, outgoing
     if not parts.air.still:
-        start, way, window = medium.carry(parts.air, p, start, outgoing)
-        if window is not None:
-            passed = window if passed is None else passed * window
+        start, way = medium.carry(parts.air, p, start, outgoing)
     board, path = board_plane.meet(p, start, way, parts.board)
     if bench.shift is not None:
         board = board + bench.shift

@@ -6,7 +6,7 @@ point less P (ξ) and its direction less the chief ray's R (q), both in the roto
 The gradient: n(r) = n₀ + ∇n·r with ∇n = dn/dT ∇T; the ray equation d/ds(n dr/ds) = ∇n is integrated step by step along
 the whole way from the mirror to the board. The kick turns the unit vector of the direction by (0, k_y, k_z) of the
 world where the ray crosses the plane half way between mirror and board, parallel to the world's y and z. The window: a
-slab refracts at either face by Snell's law and lets Fresnel's share of unpolarised light through.
+slab refracts at either face by Snell's law; its faces are coated against reflection and take no light.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Recording
 from benchsim.bench.place import Placement
 from benchsim.render.effects import MRAD, PER_M, value
-from benchsim.render.facet import GLASS, fresnel
+from benchsim.render.facet import GLASS
 from benchsim.render.laser import Vec, dot
 from benchsim.render.tables import Table, table
 
@@ -140,8 +140,7 @@ class Window:
         inward = dot(g, self.normal) / length
         side = tuple(g[i] / length - inward * self.normal[i] for i in range(3))
         shift = self.thickness * (1.0 / (GLASS * inner) - 1.0 / cosine)
-        loss = fresnel(cosine, inner)
-        return tuple(xi[i] + shift * side[i] for i in range(3)), q, (1.0 - loss) * (1.0 - loss)
+        return tuple(xi[i] + shift * side[i] for i in range(3)), q, None
 
 
 def air(recording: Recording, placement: Placement, rotor: Array, point: Array, chief: Array) -> tuple[Any, ...]:

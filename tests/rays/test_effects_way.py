@@ -26,7 +26,7 @@ def test_window_shifts_beside(lab):
     """Textbook: T sin i (1 − cos i / (n cos r)) across the ray, away from the slab's normal; the direction stays."""
     x, g = rays_of(lab)
     slab = air.AirEffects(window=6.0, turn=(np.radians(10.0), np.radians(-7.0)))
-    moved, direction, passed = air.carry(slab, lab.placement, x, g)
+    moved, direction = air.carry(slab, lab.placement, x, g)
     np.testing.assert_array_equal(direction, g)
     ray = g / np.linalg.norm(g, axis=1, keepdims=True)
     # +x turned by the rotation vector (0, 10°, −7°).
@@ -41,7 +41,6 @@ def test_window_shifts_beside(lab):
     np.testing.assert_allclose(np.linalg.norm(shift, axis=1), across, atol=1e-10)
     # Toward the foot of the normal: light inside is steeper.
     assert (shift @ -normal > 0).all()
-    assert ((passed > 0.75) & (passed < 0.92)).all()
 
 
 def test_window_moves_the_trace_by_that(lab):
@@ -77,7 +76,7 @@ def test_gradient_is_the_ray_equation(lab):
     x, g = rays_of(lab, 4)
     per_mm = -0.95e-6 * 1e-3 * np.array([0.0, 150.0, 200.0])
     bent = air.AirEffects(gradient=(per_mm[1], per_mm[2]))
-    line, direction, _ = air.carry(bent, lab.placement, x, g)
+    line, direction = air.carry(bent, lab.placement, x, g)
     board, _ = screen.meet(lab.placement, line, direction)
     straight, _ = screen.meet(lab.placement, x, g)
     for i in range(4):
@@ -107,7 +106,7 @@ def test_warm_air_above_bends_down(lab):
     straight, _ = screen.meet(lab.placement, x, g)
     for table, axis in (({"air": 150.0}, 1), ({"airh": 150.0}, 0)):
         bent = air.effects({"air-gradient": table}, {})
-        hit, _ = screen.meet(lab.placement, *air.carry(bent, lab.placement, x, g)[:2])
+        hit, _ = screen.meet(lab.placement, *air.carry(bent, lab.placement, x, g))
         assert (hit[:, axis] < straight[:, axis]).all()
 
 
@@ -120,7 +119,7 @@ def test_plume_kicks_where_it_is(lab):
         through = np.array([half, -50.0, -700.0 + off])
         x = p.centre[None]
         g = (through - p.centre)[None]
-        line, direction, _ = air.carry(plume, p, x, g)
+        line, direction = air.carry(plume, p, x, g)
         turned = direction[0] / np.linalg.norm(direction[0]) - g[0] / np.linalg.norm(g[0])
         np.testing.assert_allclose(np.cross(line - through, direction), 0.0, atol=1e-6)
         ray = g[0] / np.linalg.norm(g[0])
