@@ -188,7 +188,9 @@ class Predict:
             r = b.response
             parts.append(r.at + r.slope * (light - r.light) + r.by_blur * more)
             gain = values.get(f"{o.name}.gain", 0.0)
-            parts.append(CubicSpline(arc, np.log(np.maximum(curve.flux, 1e-30)))(at) + gain)
+            # Its level is the gain's alone: whatever of it geometry could change, quadratically, would only be undone.
+            flux = CubicSpline(arc, np.log(np.maximum(curve.flux, 1e-30)))(at)
+            parts.append(flux - flux.mean() + gain)
         parts.append(residual[b.kept].ravel())
         return np.concatenate(parts)
 

@@ -2,7 +2,8 @@
 
 Data of a block are, in this order, ``c`` (mm), ``w`` (mm²), ``f`` (1) and ``m`` (px). The centre line's datum is the
 signed distance c₀ of a fixed point of the measured trace from the stated bench's curve; its prediction is c₀ less the
-point's distance from the predicted curve, so that they differ by exactly that distance.
+point's distance from the predicted curve, so that they differ by exactly that distance. The logarithm of the flux is
+taken from its mean over the exposure, to which a free gain is added.
 """
 
 from __future__ import annotations
@@ -187,19 +188,11 @@ def _predict(
         response = _response(doubted, recording, o) if len(o.width2) else None
         kept = np.asarray(np.isfinite(o.marks).all(axis=1))
         offset = signed_distance(stated, o.points)[0]
-        o = replace(o, log_flux=_centred(o, stated)) if response is not None else o
+        o = replace(o, log_flux=o.log_flux - o.log_flux.mean()) if response is not None else o
         blocks.append(Block(o, tuple(names), response, _level(o, stated), kept, offset))
         camera = o.view.camera.name
         aside |= {f"{camera}.{k}" for k in ("blur", "focal", "principal_u", "principal_v", "k1")} | {f"{o.name}.gain"}
     return Predict(doubted, tuple(blocks), owners, shapes, frozenset(aside))
-
-
-def _centred(o: Observed, stated: Curve) -> Array:
-    """Logarithm of the flux, its constant that of the stated bench."""
-    assert stated.flux is not None
-    s = signed_distance(stated, o.profile_points)[1]
-    log = np.log(np.interp(s, stated.arc_length(), stated.flux))
-    return o.log_flux - float(np.mean(o.log_flux - log))
 
 
 def _level(o: Observed, stated: Curve) -> Array:
