@@ -19,7 +19,7 @@ from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amend, effects, observables
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.instruments.bench.prediction import Predict
-from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.output import default_folder, label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import Workers, workers
 from benchsim.report import diagnosis_pictures as pictures
@@ -78,7 +78,7 @@ class DiagnosisResult:
         return summary(
             self.diagnosis,
             About(
-                title=r.title or r.folder.resolve().name,
+                title=label(r),
                 exposures=len(self.problem.names),
                 settings=len(set(self.problem.groups)),
                 against=self.against,
@@ -204,7 +204,7 @@ def remarks(recording: Recording, observed: Sequence[observables.Observed]) -> t
 def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progress = silent) -> None:
     """Draw a diagnosis into the folder that holds it."""
     d, problem = result.diagnosis, result.problem
-    title = result.recording.title or result.recording.folder.resolve().name
+    title = label(result.recording)
     progress("drawing", 0.78)
     pictures.residuals(folder, problem, d, title)
     pictures.observables(folder / "observables.png", problem, d, title)
@@ -252,7 +252,7 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
         pictures.Strip(x.name, x.t, x.n, x.photograph, x.before.z, x.after.z, x.before.z_std, x.after.z_std)
         for x in compared.exposures
     ]
-    title = result.recording.title or result.recording.folder.resolve().name
+    title = label(result.recording)
     how = "each setting rendered with what the others say" if several else "settings fitted"
     pictures.pixels(
         folder,

@@ -20,7 +20,7 @@ from benchsim.diagnosis.linear import linearise
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.result import Limit
 from benchsim.instruments.bench import effects as bench_effects
-from benchsim.jobs.output import output_folder
+from benchsim.jobs.output import label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import workers
 from benchsim.report import effects_text
@@ -124,7 +124,7 @@ class IsolabilityResult:
         r = self.recording
         return effects_text.isolability(
             effects_text.Plan(
-                title=r.title or r.folder.name,
+                title=label(r),
                 exposures=len(r.exposures),
                 settings=len({e.setting for e in r.exposures}),
                 against=self.against,

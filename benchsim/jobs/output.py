@@ -17,6 +17,7 @@ from typing import Any
 
 import benchsim
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.model import Recording
 
 STAMP = "benchsim.json"
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-image")
@@ -28,6 +29,12 @@ def default_folder(source: Path, command: str) -> Path:
     if path.is_file() and path.name == "recording.toml":
         path = path.parent
     return Path(f"{path.stem if path.is_file() else path.name}-{command}")
+
+
+def label(recording: Recording) -> str:
+    """What the person calls the recording: its folder, or folder and file."""
+    folder, file = recording.folder.resolve().name, recording.path.name
+    return folder if file == "recording.toml" else f"{folder}/{file}"
 
 
 @contextmanager

@@ -75,7 +75,7 @@ def _residual_page(path: Path, problem: Problem, d: Diagnosis, blocks: range, ti
         top: Axes | None = None
         for j, (before, after, word) in enumerate(pairs):
             axes = figure.add_subplot(grid[row * panels + j, column], sharex=top)
-            _residual_panel(axes, problem, b, before, after, r.sigma)
+            _residual_panel(axes, problem, b, before, after, r.sigma, _alone(problem, b, r.sigma))
             if j == 0:
                 top = axes
                 name = f"{problem.names[b]}, setting {problem.groups[b]}"
@@ -87,7 +87,7 @@ def _residual_page(path: Path, problem: Problem, d: Diagnosis, blocks: range, ti
             elif row == rows - 1 or i + columns >= len(blocks):
                 axes.set_xlabel("along the trace (mm)", fontsize=8)
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncol=3)
+    figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncol=4)
     explained = "distance of the trace from its prediction, settings fitted"
     if held:
         explained += "; left out: predicted from the other settings"
@@ -95,7 +95,20 @@ def _residual_page(path: Path, problem: Problem, d: Diagnosis, blocks: range, ti
     _save(figure, path)
 
 
-def _residual_panel(axes: Axes, problem: Problem, block: int, before: Array, after: Array, sigma: Array) -> None:
+def _alone(problem: Problem, block: int, sigma: Array) -> Array:
+    """1 sigma of every datum of a block given its neighbours (n_b,): without the errors that they have in common."""
+    c = problem.covariance[block]
+    return sigma[problem.rows(block)] / np.sqrt(np.diag(c) * np.diag(np.linalg.inv(c)))
+
+
+def _bands(axes: Axes, s: Array, sigma: Array, alone: Array) -> None:
+    axes.fill_between(s, -sigma, sigma, color="#e8f3ea", linewidth=0, label="±1σ, errors common to the trace included")
+    axes.fill_between(s, -alone, alone, color="#bfdcc7", linewidth=0, label="±1σ of a point alone")
+
+
+def _residual_panel(
+    axes: Axes, problem: Problem, block: int, before: Array, after: Array, sigma: Array, alone: Array
+) -> None:
     rows = problem.rows(block)
     main = np.flatnonzero((problem.kind[rows] == "c") & np.isfinite(before[rows])) + rows.start
     _plain(axes)
@@ -106,7 +119,7 @@ def _residual_panel(axes: Axes, problem: Problem, block: int, before: Array, aft
         return
     order = main[np.argsort(problem.position[main], kind="stable")]
     s = problem.position[order]
-    axes.fill_between(s, -sigma[order], sigma[order], color="#cfe8d5", linewidth=0, label="±1σ of a point")
+    _bands(axes, s, sigma[order], alone[order - rows.start])
     axes.plot(s, before[order], "o", color=BEFORE, markersize=2.6, markerfacecolor="none", label="before")
     axes.plot(s, after[order], "o", color=AFTER, markersize=2.6, label="after: what was found put in")
     reach = 1.15 * max(float(np.nanmax(np.abs(np.concatenate([before[order], after[order]])))), 1e-12)
@@ -114,7 +127,7 @@ def _residual_panel(axes: Axes, problem: Problem, block: int, before: Array, aft
 
 
 def observables(path: Path, problem: Problem, d: Diagnosis, title: str) -> None:
-    """Rms residual in sigma of every observable in every exposure, before and after.
+    """Rms of the whitened residuals of every observable in every exposure, before and after.
 
     Parameters
     ----------
@@ -145,7 +158,7 @@ def observables(path: Path, problem: Problem, d: Diagnosis, title: str) -> None:
                 here = (problem.kind[rows] == kind) & np.isfinite(values[rows])
                 if here.any():
                     at.append(b + dy)
-                    norm.append(float(np.sqrt(np.mean((values[rows][here] / r.sigma[rows][here]) ** 2))))
+                    norm.append(_norm(problem, b, here, values[rows], r.sigma[rows]))
             axes.plot(norm, at, shape, color=colour, markerfacecolor=face, markersize=4.5, label=label)
         axes.axvline(1.0, color=GREY, linewidth=0.8)
         axes.set_xscale("log")
@@ -160,8 +173,18 @@ def observables(path: Path, problem: Problem, d: Diagnosis, title: str) -> None:
     every[0].set_ylim(count - 0.5, -0.5)
     handles, labels = every[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncol=4)
-    figure.suptitle(fill(f"{title}: residuals of every observable; noise alone gives 1", 34 * len(kinds)), fontsize=10)
+    figure.suptitle(
+        fill(f"{title}: whitened residuals of every observable; noise alone gives about 1", 34 * len(kinds)),
+        fontsize=10,
+    )
     _save(figure, path)
+
+
+def _norm(problem: Problem, block: int, here: NDArray[np.bool_], values: Array, sigma: Array) -> float:
+    """Rms of the whitened residuals of some data of a block."""
+    own = problem.covariance[block][np.ix_(here, here)]
+    scaled = values[here] * np.sqrt(np.diag(own)) / sigma[here]
+    return float(np.sqrt(np.mean(np.linalg.solve(np.linalg.cholesky(own), scaled) ** 2)))
 
 
 def _ones_twos_fives(x: float, _: int | None) -> str:
@@ -288,7 +311,7 @@ def located(path: Path, ridge: Ridge, stretches: Sequence[Stretch], problem: Pro
     main = main[np.argsort(problem.position[main], kind="stable")]
     s, before, sigma = problem.position[main], r.before[main], r.sigma[main]
     _plain(below)
-    below.fill_between(s, -sigma, sigma, color="#cfe8d5", linewidth=0, label="±1σ")
+    _bands(below, s, sigma, _alone(problem, block, r.sigma)[main - rows.start])
     below.plot(s, before, "o", color=BEFORE, markersize=2.8, markerfacecolor="none", label="before")
     below.plot(s, r.after[main], "o", color=AFTER, markersize=2.8, label="after")
     below.axhline(0, color=GREY, linewidth=0.6)
@@ -326,7 +349,7 @@ def located(path: Path, ridge: Ridge, stretches: Sequence[Stretch], problem: Pro
         )
     below.set_xlabel("along the trace (mm)", fontsize=9)
     below.set_ylabel("distance from the\nprediction (mm)", fontsize=9)
-    below.legend(fontsize=8, ncol=3, loc="best")
+    below.legend(fontsize=7, ncol=2, loc="best")
     figure.suptitle(fill(title, 110), fontsize=10)
     _save(figure, path)
 
