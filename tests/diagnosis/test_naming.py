@@ -25,7 +25,9 @@ def drawn(effect, snr, rng, gram):
     direction = rng.normal(size=len(own))
     direction = np.array([abs(d) if AMPLITUDES[i].one_sided else d for i, d in zip(own, direction, strict=True)])
     direction *= snr / np.sqrt(direction @ gram[np.ix_(own, own)] @ direction)
-    values = {AMPLITUDES[i].name: d ** (1 / AMPLITUDES[i].power) if d > 0 else d for i, d in zip(own, direction)}
+    values = {
+        AMPLITUDES[i].name: d ** (1 / AMPLITUDES[i].power) if d > 0 else d for i, d in zip(own, direction, strict=True)
+    }
     if effect.name == "ripple":
         values["period"] = rng.uniform(0.5, 0.9)
     return values

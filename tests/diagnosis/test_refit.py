@@ -87,32 +87,31 @@ def test_an_amplitude_pulled_below_zero_stays_there():
     assert fit.log_evidence < fitted(problem, ()).fit.log_evidence
 
 
-def test_a_prediction_that_jumps_is_marked_unconverged():
-    """No step ever pays off: the derivatives point at a gain that the exact prediction does not have."""
-
-    def bad(values, block):
-        turn = values.get("turn", 0.0)
-        return lines.predict({**values, "turn": np.sign(turn) * 0.02 * np.ceil(abs(turn) / 0.02 - 0.5)}, block)
-
-    problem, _ = lines.problem({"turn": 0.2}, seed=1, predict=bad)
+def test_a_fit_that_finds_no_step_is_marked_unconverged(monkeypatch):
+    """The derivatives promise a gain that the exact prediction does not have, and there is no second round."""
+    problem, _ = lines.problem({"turn": 0.2}, seed=1)
     h = Hypothesis((BY_NAME["turn"],))
     zero = Point(np.zeros(len(problem.nuisances)), np.zeros(1), np.zeros(0))
-    own = linear.columns(lines.problem()[0], {}, h.amplitudes) * -1.0
-    context = context_of(problem)
-    stuck = refit.Context(problem, context.whiten, context.scales, context.weights)
-    wrong = vars(refit)["ROUNDS"]
-    try:
-        refit.ROUNDS = 1
-        solved = refit.fit(stuck, h, [zero], known_at_zero(problem), own)
-    finally:
-        refit.ROUNDS = wrong
-    assert not solved.fit.converged
-    # What is unconverged is listed last, however probable it calls itself.
-    assert refit.fit(context, h, [zero], known_at_zero(problem)).fit.log_evidence > solved.fit.log_evidence
+    wrong = -linear.columns(problem, {}, h.amplitudes)
+    context, known = context_of(problem), known_at_zero(problem)
+    mended = refit.fit(context, h, [zero], known, wrong)
+    assert mended.fit.converged
+    monkeypatch.setattr(refit, "ROUNDS", 1)
+    stuck = refit.fit(context, h, [zero], known, wrong)
+    assert not stuck.fit.converged
+
+
+def test_unconverged_fits_come_last_and_a_naming_says_so(monkeypatch):
+    monkeypatch.setattr(refit, "STILL", 0.0)
+    found = naming.name(lines.problem({"turn": 0.5}, seed=1)[0])
+    assert not any(f.converged for f in found.fits)
+    monkeypatch.undo()
+    found = naming.name(lines.problem({"turn": 0.5}, seed=1)[0])
+    assert all(f.converged for f in found.fits)
 
 
 def test_a_frozen_jacobian_would_name_wrongly():
-    """A strong turn, weighed about the null's point alone, takes a second name with certainty; refitted, it does not."""
+    """A strong turn, weighed about the null's point alone, surely takes a second name; refitted, it does not."""
     for seed in range(3):
         problem, _ = lines.problem({"turn": 1.0}, seed=seed)
         named = naming.name(problem)
