@@ -74,6 +74,11 @@ class MirrorEffects:
         row = self.leans.mean(axis=0) if facet is None else self.leans[facet]
         return float(row[0]) if len(row) == 1 else np.interp(phase, self.phases, row)
 
+    @property
+    def uneven(self) -> bool:
+        """Whether leans change with the phase."""
+        return self.leans is not None and self.leans.shape[1] > 1
+
     def spread(self, phase: Array) -> Array | None:
         """Each facet's lean less the mean of all at phases (n,): (n, facets) [rad]; None if all are equal."""
         if self.leans is None or self.phases is None:

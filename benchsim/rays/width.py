@@ -15,8 +15,9 @@ from benchsim.rays.sweep import Bench
 
 Array = NDArray[np.float64]
 
-FEW = 6
-"""Profiles whose widths are worked out; between them the width is smooth (1e-4 mm)."""
+FEW, MORE = 6, 24
+"""Profiles whose widths are worked out; between them the width is smooth (1e-4 mm). More where a field has the facets
+lean differently from phase to phase, and the width follows its knots."""
 
 
 def blurs(bench: Bench, lateral: Array) -> Array:
@@ -27,7 +28,8 @@ def blurs(bench: Bench, lateral: Array) -> Array:
 def widths(bench: Bench, nodes: Profiles) -> Array:
     """Adaptive width about the mean of each profile, (profile,) [mm]; worked out on a few and interpolated."""
     n = len(nodes.q)
-    few = _few(n)
+    wanted = MORE if nodes.shift is not None and bench.parts.polygon.uneven else FEW
+    few = _few(n, wanted)
     some = nodes.only(few)
     mean = some.mean(some.q)
     if bench.physics.diffraction:
@@ -51,17 +53,17 @@ def widths(bench: Bench, nodes: Profiles) -> Array:
         blur = blur if blur.shape[1] == 1 else np.repeat(blur, facets, axis=1)
     # Its own mean is 0: the profiles are measured from the curve.
     width = adaptive(q, light, np.zeros(len(few)), blur=blur if blur.any() else 0.0)[1]
-    return _between(n) @ width
+    return _between(n, wanted) @ width
 
 
-def _few(n: int) -> NDArray[np.intp]:
-    return np.unique(np.linspace(0, n - 1, min(n, FEW)).round().astype(int))
+def _few(n: int, wanted: int) -> NDArray[np.intp]:
+    return np.unique(np.linspace(0, n - 1, min(n, wanted)).round().astype(int))
 
 
 @lru_cache(maxsize=64)
-def _between(n: int) -> Array:
+def _between(n: int, wanted: int) -> Array:
     """Matrix (n, few) of the cubic spline through values at the few profiles."""
-    few = _few(n)
+    few = _few(n, wanted)
     return np.asarray(CubicSpline(few, np.eye(len(few)))(np.arange(n)))
 
 
