@@ -416,15 +416,16 @@ def fit(
     prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
     state = _begin(context, h, prior, starts[0])
     converged, checked = False, 0
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         state = _descend(context, h, prior, state, white(known.columns, own))
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
         known = _fresh(context, h, state.theta, known, s)
         own = columns_at(state.theta)
-        hyper_now = chosen(state.theta, state.residual, known, own)
-        moved = hyper_now != hyper
-        if moved:
-            hyper = hyper_now
+        now = chosen(state.theta, state.residual, known, own)
+        # Between two neighbours on the grid that are as probable the choice could swing for ever; any point near the
+        # peak will do, since the evidence sums over the grid.
+        if now != hyper and turn < ROUNDS // 2:
+            hyper = now
             prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
             state = _begin(context, h, prior, _point(state.theta, p, k))
         promise = _step(white(known.columns, own), context.whiten(state.residual), prior, state.theta, p)[1]

