@@ -52,9 +52,12 @@ Array = NDArray[np.float64]
 SMOOTH_DEGREE = 4
 """Of the polynomials in y and z by which the marks' scatter is judged: lens and bow are of third order at most."""
 
-LONE = 3.7
+LONE = 3.0
 """A mark whose centre lies this many robust sigma off the polynomials (root mean square of both coordinates), alone
-among its neighbours, is mismeasured (a scratch, the trace across it); noise does that once in 10⁶: exp(−3.7²)."""
+among its neighbours, is mismeasured (a scratch, the trace across it); noise does that once in 8000: exp(−3²)."""
+
+MOST_LONE = 0.15
+"""Largest share of marks left out so."""
 
 
 @dataclass(frozen=True)
@@ -187,36 +190,50 @@ def _marks_scatter(
 
     Polynomials in y and z take what board and lens can do; their degree falls where the marks are few.
     """
-    white = residual / np.sqrt(np.einsum("nii->ni", covariance))
-    lone = np.zeros(len(board), bool)
-    reach = np.abs(board).max()
-    y, z = (board / max(reach, 1e-9)).T
+    y, z = (board / max(np.abs(board).max(), 1e-9)).T
+    near = np.argsort(np.linalg.norm(board[:, None] - board[None], axis=-1), axis=1)[:, 1:4]
+    lone, settled = np.zeros(len(board), bool), ~whole
     scale = 1.0
-    for _ in range(4):
+    while True:
         keep = whole & ~lone
         degree = SMOOTH_DEGREE
         while degree > 1 and (degree + 1) * (degree + 2) // 2 > 0.5 * keep.sum():
             degree -= 1
         basis = np.stack([y**a * z**b for a in range(degree + 1) for b in range(degree + 1 - a)], axis=1)
-        if keep.sum() <= basis.shape[1] + 1:
+        if keep.sum() <= basis.shape[1] + 2:
             return max(scale, 1.0), lone
-        left = np.zeros_like(white)
-        for k in range(2):
-            w = 1 / np.sqrt(covariance[:, k, k])
-            solution = np.linalg.lstsq(basis[keep] * w[keep, None], white[keep, k], rcond=None)[0]
-            left[:, k] = white[:, k] - w * (basis @ solution)
-        free = keep.sum() - basis.shape[1]
-        scale = float((left[keep] ** 2).sum() / (2 * free))
-        size = np.sqrt((left**2).sum(axis=1) / 2 * keep.sum() / free)
+        scale, size = _off(basis, residual, covariance, keep)
+        worst = int(np.argmax(np.where(keep & ~settled, size, 0.0)))
+        if settled[worst] or lone.sum() + 1 > MOST_LONE * whole.sum():
+            return scale, lone
+        # Judged by the others alone: a mark that is far off pulls the polynomials to itself and its neighbours away.
+        others = keep & (np.arange(len(board)) != worst)
+        _, size = _off(basis, residual, covariance, others)
         # The mean square of two Gaussians is exponential: its median is ln 2.
-        robust = float(np.median(size[keep])) / np.sqrt(np.log(2))
-        apart = np.linalg.norm(board[:, None] - board[None], axis=-1) + np.where(np.eye(len(board)) > 0, np.inf, 0.0)
-        near = np.argsort(apart, axis=1)[:, :3]
-        new = keep & (size > LONE * robust) & (np.median(size[near], axis=1) < 2.0 * robust)
-        if not new.any() or (lone | new).sum() > 0.1 * whole.sum():
-            break
-        lone |= new
-    return max(scale, 1e-6), lone
+        robust = float(np.median(size[others])) / np.sqrt(np.log(2))
+        if size[worst] <= 2.0 * robust:
+            return scale, lone
+        alone = np.median(size[near[worst]]) < 2.0 * robust
+        lone[worst] = size[worst] > LONE * robust and alone
+        settled[worst] = True
+
+
+def _off(basis: Array, residual: Array, covariance: Array, keep: NDArray[np.bool_]) -> tuple[float, Array]:
+    """Variance over the stated one, and every mark's distance from the polynomials of those kept, in stated sigma.
+
+    Distances are over what is expected of a mark that the fit followed, or, if it was not kept, did not.
+    """
+    left = np.zeros_like(residual)
+    total = 0.0
+    for k in range(2):
+        w = 1 / np.sqrt(covariance[:, k, k])
+        white, a = residual[:, k] * w, basis * w[:, None]
+        q, r = np.linalg.qr(a[keep])
+        off = white - a @ np.linalg.solve(r, q.T @ white[keep])
+        leverage = np.linalg.norm(np.linalg.solve(r.T, a.T), axis=0) ** 2
+        total += float(off[keep] @ off[keep])
+        left[:, k] = off / np.sqrt(np.where(keep, np.maximum(1 - leverage, 0.1), 1 + leverage))
+    return total / (2 * (keep.sum() - basis.shape[1])), np.sqrt((left**2).mean(axis=1))
 
 
 def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> dict[str, Any]:

@@ -1,0 +1,117 @@
+"""Data and their noise: what photographs give, judged by their own truth, and what simulation gives in their place."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from benchsim import rays
+from benchsim.bench.curve import Curve, signed_distance
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.files import read
+from benchsim.instruments.bench import observables
+from benchsim.instruments.bench.observables import _marks_scatter
+from benchsim.instruments.bench.observed import beside, smooth_floor
+
+ROOT = Path(__file__).parents[2]
+OTHER = ROOT.parent / "shared" / "recordings" / "bench-other-code"
+
+
+@pytest.fixture(scope="module")
+def bench():
+    recording = read(ROOT / "scenes/campaign12.toml")
+    return replace(recording, exposures=recording.exposures[:2])
+
+
+def test_simulated_data_lie_on_the_stated_trace_in_view_of_the_camera(bench):
+    for o, exposure in zip(observables.simulate(bench, seed=1), bench.exposures, strict=True):
+        curve = rays.predict(bench, exposure)
+        assert np.abs(signed_distance(curve, o.points)[0]).max() < 1e-4
+        assert len(o.points) == 64 and len(o.width2) == len(o.log_flux) == 24
+        assert len(o.marks) >= 3 and not o.marks.any()
+        for c in (o.covariance, o.width2_covariance, o.log_flux_covariance, *o.marks_covariance):
+            np.linalg.cholesky(c)
+
+
+def test_points_beside_a_curve_are_undone_by_its_signed_distance():
+    t = np.linspace(-1, 1, 60)
+    curve = Curve(np.column_stack([40 * t**2 + 3 * t, 300 * t]))
+    s, d = np.linspace(20, 550, 30), np.linspace(-4, 5, 30)
+    found = signed_distance(curve, beside(curve, s, d))
+    assert np.allclose(found[0], d, atol=1e-6) and np.allclose(found[1], s, atol=1e-4)
+
+
+def test_a_board_without_marks_is_refused(bench):
+    with pytest.raises(BenchsimError, match="lists no marks"):
+        observables.simulate(replace(bench, screen=replace(bench.screen, marks=None)))
+
+
+GRID = np.array([(y, z) for y in np.linspace(-320, 320, 7) for z in np.linspace(-320, 320, 7)])
+
+
+def marks_residual(rng, sigma):
+    y, z = GRID.T / 320
+    # What a bow and a lens leave, fifty sigma large: none of it may count as noise.
+    smooth = np.stack([0.3 * y * z**2 - 0.2 * y, 0.25 * z**2 - 0.1 * y**2 * z], axis=1)
+    return smooth + sigma * rng.standard_normal(GRID.shape)
+
+
+def test_scatter_of_marks_is_that_of_neighbours_and_not_a_bow():
+    rng = np.random.default_rng(11)
+    stated = np.tile(np.eye(2) * 0.004**2, (len(GRID), 1, 1))
+    found = np.array([_marks_scatter(GRID, marks_residual(rng, 0.006), stated, np.ones(len(GRID), bool))[0]
+                      for _ in range(100)])  # fmt: skip
+    # Each has 2 (49 − 15) degrees of freedom; the mean of a hundred at four sigma, less the few marks left out.
+    want = (0.006 / 0.004) ** 2
+    assert abs(found.mean() / want - 1) < 4 * np.sqrt(2 / 68 / 100) + 0.01
+
+
+def test_a_lone_bad_mark_is_left_out_and_a_dented_board_is_not():
+    rng = np.random.default_rng(12)
+    stated, whole = np.tile(np.eye(2) * 0.006**2, (len(GRID), 1, 1)), np.ones(len(GRID), bool)
+    residual = marks_residual(rng, 0.006)
+    residual[17] += 0.15
+    scale, lone = _marks_scatter(GRID, residual, stated, whole)
+    assert np.flatnonzero(lone).tolist() == [17] and scale < 2
+    dent = np.exp(-((GRID - [40.0, -60.0]) ** 2).sum(axis=1) / 2 / 90**2)
+    dented = marks_residual(rng, 0.006) + 0.15 * dent[:, None]
+    lone = _marks_scatter(GRID, dented, stated, whole)[1]
+    assert lone.sum() <= 3 and (dent[~lone] ** 2).sum() > 0.6 * (dent**2).sum()
+
+
+def test_a_smooth_floor_is_shared_by_neighbours_only():
+    c = smooth_floor(np.array([0.0, 10.0, 1000.0]), np.array([1.0, 2.0, 3.0]))
+    assert np.allclose(np.diag(c), [1, 4, 9]) and c[0, 1] > 1.99 and abs(c[0, 2]) < 1e-6
+
+
+def test_lost_exposures_are_named_and_the_others_kept(tmp_path, bench):
+    lost = tuple(replace(e, image=f"{i}.png") for i, e in enumerate(bench.exposures))
+    absent = replace(bench, exposures=lost, path=tmp_path / "recording.toml")
+    with pytest.raises(BenchsimError, match=r"no exposure can be used: 0\.png"):
+        observables.observe(absent)
+
+
+def test_centre_line_and_marks_of_other_code_lie_where_their_covariance_says():
+    if not OTHER.is_dir():
+        pytest.skip(f"photographs of other code are not at {OTHER.parent}")
+    recording = read(OTHER / "clean-f7" / "recording.toml")
+    truth = np.load(OTHER / "truth" / "clean-f7.npz")
+    json.loads((OTHER / "truth" / "clean-f7.json").read_text())
+    observed, lost = observables.observe(recording)
+    assert not lost
+    for o in observed:
+        y, z = truth[f"trace_{o.index}"][:2]
+        d, s = signed_distance(Curve(np.column_stack([y, z])), o.points)
+        length = Curve(np.column_stack([y, z])).arc_length()[-1]
+        inside = (s > 0) & (s < length)
+        c = o.covariance[np.ix_(inside, inside)]
+        # σ is itself estimated to some 10 %: χ² may exceed its quantile at 1e-4 by a fifth.
+        assert d[inside] @ np.linalg.solve(c, d[inside]) < 1.2 * chi2.isf(1e-4, inside.sum())
+        kept = np.isfinite(o.marks).all(axis=1)
+        pull = np.einsum("ni,nij,nj->n", o.marks[kept], np.linalg.inv(o.marks_covariance[kept]), o.marks[kept])
+        assert 0.4 < pull.mean() / 2 < 1.5
