@@ -88,6 +88,13 @@ class MirrorEffects:
             return None
         return np.stack([np.interp(phase, self.phases, row) for row in off], axis=1)
 
+    def steepness(self, phase: Array, step: float = 1e-3) -> Array:
+        """Derivative of `spread` by the phase, over some 2 mrad as a beam's light takes to pass, (n, facets)."""
+        after, before = self.spread(phase + step), self.spread(phase - step)
+        if after is None or before is None:
+            return np.zeros((len(phase), 1))
+        return (after - before) / (2 * step)
+
 
 def effects(tables: Effects, fields: Mapping[str, Field], mirror: Mirror, *, gated: bool = False) -> MirrorEffects:
     """The mirror's share of a recording's effects (file units: mrad, mm, 1/m) and fields.

@@ -336,23 +336,30 @@ def mixed(bench: Bench, nodes: Profiles, origin: Array, tangent: Array, across: 
     if bench.facet is not None:
         return nodes
     with np.errstate(invalid="ignore", divide="ignore"):
-        off = bench.parts.polygon.spread(nodes.mean(nodes.phase))
+        here = nodes.mean(nodes.phase)
+        off = bench.parts.polygon.spread(here)
     if off is None:
         return nodes
     far = float(np.abs(off).max())
     start = nodes.phase[:, :, nodes.phase.shape[2] // 2, None]
     middle = cuts(bench, origin, tangent, start, across, 1, kicks=False)
     sides = [cuts(bench, origin, tangent, start, across, 1, lean=s * far, kicks=False) for s in (-1.0, 1.0)]
-    u = off / far
-
-    def at(values: list[Array]) -> Array:
-        less, here, more = (v[:, None] for v in values)
-        return here + 0.5 * u * (more - less) + 0.5 * u * u * (more + less - 2 * here)
-
+    three = [sides[0], middle, sides[1]]
+    hurried: Array | float = 1.0
     with np.errstate(invalid="ignore", divide="ignore"):
-        three = [sides[0], middle, sides[1]]
+        if bench.parts.polygon.uneven:
+            # A facet that leans more is met a little later, where its lean has changed again; and while it changes
+            # the light passes the profile faster or slower.
+            late = (sides[1].mean(sides[1].phase) - sides[0].mean(sides[0].phase)) / (2 * far)
+            hurried = 1.0 / (1.0 - bench.parts.polygon.steepness(here) * late[:, None])
+        u = off * hurried / far
+
+        def at(values: list[Array]) -> Array:
+            less, here, more = (v[:, None] for v in values)
+            return here + 0.5 * u * (more - less) + 0.5 * u * u * (more + less - 2 * here)
+
         shift = at([s.mean(s.q) - middle.mean(middle.q) for s in three])
-        light = np.maximum(at([s.flux / middle.flux for s in three]), 0.0)
+        light = np.maximum(at([s.flux / middle.flux for s in three]), 0.0) * hurried
     total = light.mean(axis=1)
     return nodes._replace(
         weight=nodes.weight * total[:, None, None], shift=shift, share=light / light.sum(axis=1, keepdims=True)
