@@ -191,7 +191,7 @@ def _marks_scatter(
     Polynomials in y and z take what board and lens can do; their degree falls where the marks are few.
     """
     y, z = (board / max(np.abs(board).max(), 1e-9)).T
-    near = np.argsort(np.linalg.norm(board[:, None] - board[None], axis=-1), axis=1)[:, 1:4]
+    near = np.argsort(np.linalg.norm(board[:, None] - board[None], axis=-1), axis=1)[:, 1:5]
     lone, settled = np.zeros(len(board), bool), ~whole
     scale = 1.0
     while True:
@@ -213,7 +213,7 @@ def _marks_scatter(
         robust = float(np.median(size[others])) / np.sqrt(np.log(2))
         if size[worst] <= 2.0 * robust:
             return scale, lone
-        alone = np.median(size[near[worst]]) < 2.0 * robust
+        alone = size[near[worst]].max() < LONE * robust
         lone[worst] = size[worst] > LONE * robust and alone
         settled[worst] = True
 
