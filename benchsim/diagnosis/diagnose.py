@@ -52,6 +52,10 @@ def diagnose(problem: Problem, progress: Progress | None = None) -> Diagnosis:
     return conclude(problem, name(problem, lambda what, done: tell(what, 0.6 * done)), tell)
 
 
+LOUD = 1.3
+"""Errors over stated ones from which on a remark is due."""
+
+
 @dataclass(frozen=True)
 class _Best:
     """The hypothesis that the catalogue stands by: its fit, its claim, and the space about it."""
@@ -325,9 +329,18 @@ def _rms(problem: Problem, residuals: Residuals) -> Mapping[str, tuple[float, fl
 def _remarks(problem: Problem, naming: Naming, best: _Best, findings: Findings, said: str) -> list[str]:
     """Sentences on what limits the conclusion."""
     out = []
-    for kind, factor in naming.noise.scale.items():
-        if factor > 1.3:
-            out.append(f"Neighbouring data of kind {kind} scatter {factor:.2g} times as much as stated.")
+    stated = np.concatenate([np.diag(c) for c in problem.covariance])
+    seen = np.concatenate([np.diag(c) for c in naming.noise.covariance])
+    for kind in np.unique(problem.kind):
+        mine = problem.kind == kind
+        factor = float(np.sqrt(np.mean(seen[mine] / stated[mine])))
+        if factor > LOUD:
+            length = naming.noise.correlation.get(str(kind), 0.0)
+            shared = f", correlated over {length:.2g}" if length > 0 else ""
+            out.append(
+                f"Errors of kind {kind} are {factor:.2g} times as large as stated{shared}: an effect that looks like "
+                "such noise would be hidden."
+            )
     lost = [f for f in naming.fits if not f.converged]
     if lost:
         names = ", ".join(" + ".join(f.effects) or "the null" for f in lost)

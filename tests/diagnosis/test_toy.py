@@ -1,0 +1,119 @@
+"""End to end on an instrument that is no bench: what was put in comes out, and what has no name gets none.
+
+Rationale: `diagnose` may know nothing but the problem it is handed. Set-up: straight lines at eight angles (`toy`),
+seven effects of which two are all but one, three functions without a name. Expected: the verdict that the rules of the
+design ask for, with sizes within 3 sigma.
+"""
+
+import json
+
+import numpy as np
+import pytest
+from toy import toy
+
+from benchsim.diagnosis import diagnose, naming
+from benchsim.diagnosis.diagnose import judge
+
+
+def test_clean_lines_lack_nothing_and_the_limits_are_stated():
+    problem = toy(seed=3)
+    steps = []
+    d = diagnose(problem, lambda what, done: steps.append(done))
+    assert d.verdict == "nothing-missing" and d.effects == () and d.classes == () and d.law is None
+    assert set(d.limits) == {e.name for e in problem.catalogue}
+    assert all(np.isfinite(v.five_sigma) for v in d.limits.values())
+    assert d.held_out.folds == 6 and abs(d.held_out.excess_chi2_before) < 4 * d.held_out.sigma
+    assert d.sigma_scale == pytest.approx(1, abs=0.15) and d.setting_scale < 2.5
+    assert steps == sorted(steps) and steps[-1] == 1
+    text = d.as_dict()
+    assert json.loads(json.dumps(text))["verdict"] == "nothing-missing"
+    assert text["fit"]["rms_mm"]["before"] == pytest.approx(0.05, abs=0.01)
+
+
+def test_one_effect_is_named_sized_and_taken_away():
+    d = diagnose(toy({"bow": 0.2}, 4))
+    assert d.verdict == "named"
+    (one,) = d.effects
+    assert (one.name, one.element, one.confidence) == ("bow", "screen", "named")
+    assert abs(one.parameters["bow"].value - 0.2) < 3 * one.parameters["bow"].sigma < 0.1
+    assert one.says and one.remedy
+    assert d.location.element == "screen" and d.location.claimed
+    before, after = d.rms["c"]
+    assert after < 0.055 < before
+    assert d.held_out.fraction_removed > 0.8
+    assert "bow" not in d.limits and "lean" in d.limits
+    assert d.next == ()
+    assert d.residuals.held_out_after.shape == d.residuals.sigma.shape == d.residuals.before.shape
+
+
+def test_two_effects_are_named_together():
+    d = diagnose(toy({"bow": 0.2, "creep": 3.0}, 5))
+    assert d.verdict == "named"
+    assert [f.name for f in d.effects] == ["bow", "creep"]
+    for f, true in zip(d.effects, (0.2, 3.0), strict=True):
+        (size,) = f.parameters.values()
+        assert abs(size.value - true) < 3 * size.sigma
+
+
+def test_what_cannot_be_told_apart_is_a_class_with_what_would_split_it():
+    d = diagnose(toy({"lens_a": 0.5}, 6))
+    assert d.verdict == "class" and d.effects == ()
+    (group,) = d.classes
+    assert {m for (m,) in group.members} == {"lens-a", "lens-b"}
+    assert group.probability > 0.99
+    assert "microscope" in group.split_by.what and group.split_by.separation_sigma > 10
+    assert d.next[0] == group.split_by
+    assert d.location.element == "camera"
+
+
+def test_a_sure_effect_beside_a_class_is_still_named():
+    d = diagnose(toy({"bow": 0.25, "lens_b": 0.5}, 7))
+    assert d.verdict == "class"
+    assert [f.name for f in d.effects] == ["bow"]
+    assert {m for (m,) in d.classes[0].members} == {"lens-a", "lens-b"}
+
+
+def test_an_effect_without_a_name_is_located_and_a_smooth_one_gets_its_law():
+    d = diagnose(toy({"bow": 0.4}, 8, without=("bow",)))
+    assert d.verdict == "located" and d.effects == ()
+    assert d.location.element == "screen" and d.location.claimed and d.location.margin > 5
+    assert list(d.law.terms) == ["x^2"] and d.law.terms["x^2"] == pytest.approx(0.4, abs=0.05)
+    before, after = d.rms["c"]
+    assert after < 0.055 < before
+
+
+def test_what_can_only_be_taken_for_noise_is_not_named_but_said():
+    # Neither a name nor a function reaches it: it counts as noise that neighbours share, and the notes say so.
+    d = diagnose(toy({"warp": 0.3}, 9, attached=False))
+    assert d.effects == () and d.classes == ()
+    assert d.location is None or not d.location.claimed
+    assert any("Errors of kind c" in n and "correlated" in n for n in d.notes)
+
+
+@pytest.mark.parametrize(
+    ("truth", "without", "element"), [({"lean": 0.2}, ("lean",), "mirror"), ({"warp": 0.08}, (), "mirror")]
+)
+def test_what_the_catalogue_lacks_is_rarely_given_a_wrong_name(truth, without, element):
+    # 50 seeds each at SNR 10 to 15. A wrong name in 10 % of cases is the bar: 1 or fewer of 50 would happen at 10 % in
+    # 3 % of runs, so passing shows that the rate is below the bar. Locations, where claimed, are right in 9 of 10.
+    wrong = claimed = right = 0
+    for seed in range(400, 450):
+        problem = toy(truth, seed, without=without)
+        judged = judge(problem, naming.name(problem, refits=5))
+        wrong += judged.verdict in ("named", "class") or bool(judged.found)
+        if judged.place is not None and judged.place.claimed:
+            claimed += 1
+            right += judged.place.element == element
+    assert wrong <= 1
+    assert claimed >= 25
+    assert right >= 0.9 * claimed
+
+
+def test_clean_lines_are_not_named_even_with_settings_worse_than_stated():
+    # At the bar of 5 %, 25 seeds with settings three times as bad name something once or never in 64 % of runs and
+    # four or more in 3 %; at the 1 % that is aimed at, two or more in 3 %.
+    named = 0
+    for seed in range(500, 525):
+        problem = toy({}, seed, setting_scale=3.0)
+        named += bool(judge(problem, naming.name(problem, refits=5)).findings.stands)
+    assert named <= 1
