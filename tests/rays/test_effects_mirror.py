@@ -102,8 +102,8 @@ def test_tilted_facets_sum_to_the_ungated_exposure(lab, leaning, diffraction):
     """Flux, mean and width of all facets' light against the twelve gated exposures laid over each other.
 
     Rationale: the ungated trace is worked out at three leans and interpolated. Set-up: each facet's nodes on the
-    ungated trace's own lines. Expectation: flux 1e-4, mean 1e-4 mm, width 2e-3 mm without diffraction; with it the mean is the
-    same. One profile's light straddles a knot of the field, where 5e-4 and 5e-3 mm are right.
+    ungated trace's own lines. Expectation: flux 1e-4, mean 1e-4 mm, width 2e-3 mm without diffraction; with it the
+    mean is the same. One profile's light straddles a knot of the field: 5e-4 and 5e-3 mm there.
     """
     effects, fields = LEANING[leaning]
     physics = Physics(True, True, diffraction)
