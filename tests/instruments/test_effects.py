@@ -99,3 +99,11 @@ def test_prior_is_half_the_cap_and_shapes_cover_the_light(bench):
         # The light to the board's centre crosses midway to the mirror, within a plume's width of a node.
         assert np.abs(np.array(y) - e.mirror_position[1] / 2).min() < 90
         assert np.abs(np.array(z) - e.mirror_position[2] / 2).min() < 90
+
+
+def test_the_ray_model_has_every_parameter_of_the_catalogue():
+    from benchsim.rays.effects import EFFECTS
+
+    assert set(EFFECTS) == set(NAMES)
+    for e in effects.CATALOGUE:
+        assert {t.name for t in effects.terms(e.name, 12)} <= set(EFFECTS[e.name]) | {f"tilt_{k}" for k in range(12)}

@@ -76,6 +76,9 @@ def build(
     doubted = replace(recording, physics=simulated(recording, against))
     catalogue = candidates(recording, against)
     predict = _predict(doubted, recording, observed, catalogue)
+    for number in range(len(predict.blocks)):
+        # Later a trace beside the board only makes a hypothesis impossible; here it is the file that is wrong.
+        predict.light({}, number, doubted)
     data, covariance, kind, position, stretch, block = [], [], [], [], [], []
     for number, b in enumerate(predict.blocks):
         o = b.observed
