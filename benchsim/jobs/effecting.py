@@ -25,6 +25,9 @@ from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import workers
 from benchsim.report import effects_text
 
+TOLD_AT = 10.0
+"""Size in sigma at which effects are compared: at their caps many differ only because one cap is larger."""
+
 
 @dataclass(frozen=True)
 class CatalogueResult:
@@ -84,8 +87,8 @@ class IsolabilityResult:
         By effect: its signal in sigma at its cap, setting errors and other nuisances marginalised; of several
         parameters that which is hardest to see.
     separation : mapping of (str, str) to float
-        How far, in sigma, the first at its cap is from the nearest that the second can produce within its own; of
-        several parameters that which is hardest to tell.
+        How far, in sigma, the first at a size of `TOLD_AT` sigma, or at its cap if that is less, is from the nearest
+        that the second can produce within its own cap; of several parameters that which is hardest to tell.
     """
 
     recording: Recording
@@ -112,6 +115,7 @@ class IsolabilityResult:
                 for k, v in self.limits.items()
             },
             "at_cap_sigma": dict(self.at_cap),
+            "compared_at_sigma": TOLD_AT,
             "separation_sigma": {
                 a.name: {b.name: self.separation[a.name, b.name] for b in self.effects if b is not a}
                 for a in self.effects
@@ -138,6 +142,7 @@ class IsolabilityResult:
                 separation=self.separation,
                 seen_at=SIGMAS,
                 close=CLOSE,
+                told_at=TOLD_AT,
                 defaults=r.defaults_used,
             )
         )
@@ -207,9 +212,10 @@ def isolability(recording: Recording, against: str = "bench", progress: Progress
     for a in problem.catalogue:
         signals = _signals(within, a, names)
         at_cap[a.name] = min((float(np.sqrt(max(0.0, s @ within.gram @ s))) for s in signals), default=0.0)
+        compared = [s * min(1.0, TOLD_AT / max(1e-12, float(np.sqrt(s @ within.gram @ s)))) for s in signals]
         for b in problem.catalogue:
             if b is not a:
-                apart[a.name, b.name] = min((separation(within, s, (b.name,)) for s in signals), default=0.0)
+                apart[a.name, b.name] = min((separation(within, s, (b.name,)) for s in compared), default=0.0)
     kinds = tuple(k for k, _ in groupby(sorted(problem.kind.tolist(), key=_kind_order(problem))))
     return IsolabilityResult(recording, against, kinds, problem.catalogue, found, at_cap, apart)
 

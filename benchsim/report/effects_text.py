@@ -70,6 +70,7 @@ class Plan:
     separation: Mapping[tuple[str, str], float]
     seen_at: float
     close: float
+    told_at: float
     defaults: tuple[str, ...]
 
 
@@ -82,9 +83,7 @@ def isolability(p: Plan) -> str:
         "errors as uncertain as stated."
     )
     lines = [fill(head, WIDTH), ""]
-    lines.append(
-        f"{'':<22}{f'seen at {p.seen_at:g} sigma from':<30}{'at its cap':>12}   hardest to tell from (at its cap)"
-    )
+    lines.append(f"{'':<24}{f'seen at {p.seen_at:g} sigma from':<28}{'at its cap':>12}   hardest to tell from, and by")
     names = [name for name, _ in p.effects]
     blind = [name for name in names if not _reachable(p, name)]
     for element, group in groupby(p.effects, key=lambda e: e[1]):
@@ -108,14 +107,21 @@ def isolability(p: Plan) -> str:
         for b in names[i + 1 :]:
             if a in blind or b in blind:
                 continue
-            apart = min(p.separation[a, b], p.separation[b, a])
+            apart = max(p.separation[a, b], p.separation[b, a])
             if apart < p.close:
                 pairs.append((apart, f"{a} / {b} ({_sigmas(apart)})"))
+    lines.append(
+        fill(
+            f"Told apart: at a size of {p.told_at:g} sigma (its cap where that is less), how much of an effect no "
+            "amount of the other could stand in for.",
+            WIDTH,
+        )
+    )
     if pairs:
-        start = f"Cannot be told apart for sure: at a cap within {p.close:g} sigma of each other"
+        start = f"Not told apart, less than {p.close:g} sigma then"
         lines.append(_paragraph(start, [text for _, text in sorted(pairs)]))
     else:
-        lines.append(f"Every two that can be seen are {p.close:g} sigma apart or more at their caps.")
+        lines.append(f"Every two that can be seen are told apart by {p.close:g} sigma or more.")
     if p.defaults:
         lines.append(defaults_text(p.defaults))
     return "\n".join(lines)

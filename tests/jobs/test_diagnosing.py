@@ -200,10 +200,11 @@ def plan(small_bench):
 def test_isolability_before_any_data(plan, small_bench, tmp_path):
     text = plan.summary()
     assert max(map(len, text.splitlines())) <= 100
-    # A twin of what an effect does cannot be told from it; marks tell a bow from a beam's direction.
-    assert plan.separation["screen-bow", "beam-direction"] > 3
+    # Both only widen a trace that is not gated; marks tell a bow from a beam's direction.
+    assert plan.separation["facet-tilts", "axis-wobble"] < 3 < 9 < plan.separation["screen-bow", "beam-direction"]
+    assert "axis-wobble / facet-tilts" in text or "facet-tilts / axis-wobble" in text
     for (a, _), apart in plan.separation.items():
-        assert 0 <= apart <= plan.at_cap[a] * (1 + 1e-6)
+        assert 0 <= apart <= min(effecting.TOLD_AT, 1e6 * plan.at_cap[a]) * (1 + 1e-6)
     for name, sigma in plan.at_cap.items():
         own = [v for k, v in plan.limits.items() if k.split(".")[0] == name]
         assert own and (sigma > 5) == all(v.reachable for v in own), name
@@ -221,11 +222,14 @@ def test_workers_and_this_process_give_the_same_limits(plan, small_bench, monkey
     )
 
 
-def test_one_exposure_from_photograph_to_diagnosis(recording, tmp_path):
-    """End to end: one exposure cannot show what settings hide, and a clean one is not accused."""
-    result = jobs.diagnose(recording, tmp_path / "out", pictures=False)
+def test_one_exposure_from_photograph_to_diagnosis_and_back(recording, tmp_path):
+    """End to end: a clean exposure alone is not accused, and renders like its photograph."""
+    result = jobs.diagnose(recording, tmp_path / "out")
     assert result.diagnosis.verdict == "nothing-missing" and result.diagnosis.held_out is None
     assert result.diagnosis.limits and "One exposure alone" in result.text()
+    pixels = json.loads((tmp_path / "out" / "pixels.json").read_text())
+    assert pixels["exposures"][0]["pixels"] > 1000 and 0.85 < pixels["pooled"]["after"] < 1.2
+    assert (tmp_path / "out" / "pixels.png").is_file()
 
 
 @pytest.mark.slow
