@@ -17,12 +17,22 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Exposure, Mirror, Recording
 from benchsim.bench.place import Placement, camera_pose, place
 from benchsim.render import backend, plugins
+from benchsim.render.facet import leans
 from benchsim.render.laser import perpendicular
+from benchsim.render.mirror import bench
 from benchsim.render.sweep import sweep
 
 __all__ = ["facet_shapes", "plugins", "render", "rotor_frame", "scene_xml"]
 
 Array = NDArray[np.float64]
+
+
+DRAWN = frozenset(
+    "pivot-offset canting axis-tilt azimuth-offset beam-direction beam-offset "
+    "wavefront-curvature screen-rotation stage".split()
+)
+"""Effects and fields of which a scene is made: those that place, turn and focus its shapes. Facets that differ are not
+among them, since a scene's phases run over one facet's turn only."""
 
 
 def _matrix(rotation: Array, origin: Array) -> str:
@@ -35,10 +45,11 @@ def _transform(rotation: Array, origin: Array) -> str:
     return f'<transform name="to_world"><matrix value="{_matrix(rotation, origin)}"/></transform>'
 
 
-def facet_shapes(mirror: Mirror) -> list[Array]:
+def facet_shapes(mirror: Mirror, radius: float | None = None, lean: float = 0.0) -> list[Array]:
     """Facets in the rotor's frame: 4×4 matrices that take Mitsuba's rectangle, [-1, 1]² facing +z, onto each.
 
-    The axis of rotation is z, facet 0 faces +x. Only the facets: what enters by the open ends meets their backs, which
+    The axis of rotation is z, facet 0 faces +x. ``radius`` is the facets' distance from it [mm], ``lean`` [rad]
+    their normals' lean toward it. Only the facets: what enters by the open ends meets their backs, which
     are black.
     """
     shapes = []
@@ -46,10 +57,11 @@ def facet_shapes(mirror: Mirror) -> list[Array]:
         phi = 2 * np.pi * k / mirror.facets
         n = np.array([np.cos(phi), np.sin(phi), 0.0])
         b = np.array([-np.sin(phi), np.cos(phi), 0.0])
-        a = np.array([0.0, 0.0, 1.0])
+        a = np.array([0.0, 0.0, np.cos(lean)]) - np.sin(lean) * n
         shape = np.eye(4)
+        shape[:3, 3] = (mirror.radius if radius is None else radius) * n
+        n = np.cos(lean) * n + np.array([0.0, 0.0, np.sin(lean)])
         shape[:3, :3] = np.stack([b * mirror.facet_width / 2, a * mirror.height / 2, n], axis=1)
-        shape[:3, 3] = mirror.radius * n
         shapes.append(shape)
     return shapes
 
@@ -133,15 +145,18 @@ def scene_xml(
     Raises
     ------
     BenchsimError
-        If the recording has effects or no facets, or no light reaches the board.
+        If the recording has effects or fields beyond ``DRAWN``, or no facets, or no light reaches the board.
     """
     mirror = recording.mirror
     if mirror.shape != "polygon" or not recording.physics.facets or not recording.physics.beam:
         raise BenchsimError(f"{recording.path}: a Mitsuba scene needs a polygon, facets = true and beam = true")
     where = placement or place(mirror, exposure)
     for name in (*recording.effects, *recording.fields):
-        raise BenchsimError(f"{recording.path}: {name} is not drawn as a Mitsuba scene; take it out of the file")
+        if name not in DRAWN:
+            raise BenchsimError(f"{recording.path}: {name} is not drawn as a Mitsuba scene; take it out of the file")
     s = sweep(recording, exposure, where)
+    stands = bench(recording, exposure, where)
+    recording, where = stands.recording, stands.placement
     reach = s.half_range + abs(s.shear) * mirror.facet_width / 2
     pitch = 2 * np.pi / mirror.facets
     half = min(reach, pitch / 2)
@@ -152,7 +167,7 @@ def scene_xml(
       {_transform(m[:3, :3], m[:3, 3])}
       <bsdf type="conductor"><string name="material" value="none"/></bsdf>
     </shape>"""
-        for m in facet_shapes(mirror)
+        for m in facet_shapes(mirror, stands.radius, float(leans(recording).mean()))
     )
     return f"""<!-- {recording.title}: written by benchsim.render.reference.scene_xml; lengths in mm -->
 <scene version="3.0.0">

@@ -8,7 +8,7 @@ from light_settings import bench
 
 from benchsim.bench.place import place
 from benchsim.rays import irradiance as ray_model
-from benchsim.render.diffraction import amplitude, pattern
+from benchsim.render.diffraction import amplitude, bent, pattern
 from benchsim.render.irradiance import irradiance
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(600)
@@ -43,6 +43,31 @@ def test_the_table_keeps_light_and_mean(height):
         np.testing.assert_allclose(light.sum(axis=1), amplitude2.sum(), rtol=1e-3)
         mean = (light * middle).sum(axis=1) / light.sum(axis=1)
         np.testing.assert_allclose(mean, (amplitude2 * h).sum() / amplitude2.sum(), atol=1e-3)
+
+
+def test_a_bent_phase_moves_the_mean_by_ehrenfest_s_theorem():
+    """Rationale: a phase 2πγ h³/3 turns the ray from h by γ h²/ν in units of h': the light's mean moves by γ/ν times
+    the mean of h² over the mirror's amplitude, whatever diffraction does.
+
+    Expectation: light within 0.2 %, mean within 3 µm at every node of γ; without a bend the quadrature is the closed
+    form.
+    """
+    half, alpha, beta, nu = 1.0, 0.03, np.array([-0.1, 0.0, 0.2]), np.array([1.1, 1.4])
+    places = np.linspace(-6.0, 6.0, 25)
+    flat = np.abs(bent(places, half, alpha, beta, nu, np.zeros(1)))[:, 0]
+    closed = np.abs(amplitude(places, half, alpha, beta[:, None], nu[:, None, None]))
+    np.testing.assert_allclose(flat, closed, atol=1e-10)
+
+    table = pattern(2 * half, alpha, (1.1, 1.4), (-0.2, 0.2), gamma_range=(-0.2, 0.4))
+    middle = (table.edges[1:] + table.edges[:-1]) / 2
+    h = half * NODES
+    power = np.exp(-2 * alpha * h**2) * WEIGHTS / 2
+    light = table.weights[:, :, 0] / len(middle)  # β = 0
+    means = (light * middle).sum(axis=1) / light.sum(axis=1)
+    bends = np.tile(table.gamma, len(table.nu)) / np.repeat(table.nu, len(table.gamma))
+    np.testing.assert_allclose(light.sum(axis=1), power.sum(), rtol=2e-3)
+    np.testing.assert_allclose(means, bends * (power * h**2).sum() / power.sum(), atol=3e-3)
+    assert np.ptp(bends) > 0.3
 
 
 def width(x, light):
