@@ -46,7 +46,7 @@ class View:
     rotation, translation : (3, 3), (3,) mm
         P̂: x_camera = R (0, y, z) + t.
     corners : (4 m, 2) mm
-        Nominal corners of the marks that the pose rests on, mark after mark.
+        Nominal corners of the marks, mark after mark; those that the pose does not rest on have no share in ``gain``.
     flat : (4 m, 2) px
         Where the stated camera sees them from P̂.
     gain : (6, 8 m)
@@ -72,9 +72,9 @@ def view(pose: Pose, corners: Array, weight: Array) -> View:
     pose : Pose
         Solved without freeing the intrinsics.
     corners : (m, 4, 2) array [mm]
-        Nominal corners of the marks that it rests on.
+        Nominal corners of the marks.
     weight : (m, 8, 8) array [1/px²]
-        Inverse covariance of each mark's eight coordinates.
+        Inverse covariance of each mark's eight coordinates; 0 where the pose does not rest on the mark.
     """
     board = np.asarray(corners, float).reshape(-1, 2)
     flat, j = pose_derivatives(pose, board)

@@ -56,6 +56,9 @@ LONE = 3.0
 """A mark whose centre lies this many robust sigma off the polynomials (root mean square of both coordinates), alone
 among its neighbours, is mismeasured (a scratch, the trace across it); noise does that once in 8000: exp(−3²)."""
 
+GROSS = 0.15
+"""Residual of a corner, in sides of its mark, beyond which the mark is wrong (no dent of a board shows so)."""
+
 MOST_LONE = 0.15
 """Largest share of marks left out so."""
 
@@ -159,15 +162,19 @@ class _Centres:
 
 def _centres(marks: MarkObservations, pose: Pose) -> _Centres:
     """Residuals of the marks' centres, one per mark, with covariance; and the view of the pose."""
-    use = pose.used
+    # Marks that the pose set aside may stand on a dent: they are data all the same, unless they are off by so much that
+    # they are another mark or were moved.
+    side = np.linalg.norm(np.diff(marks.corners, axis=1), axis=-1).mean(axis=1)
+    use = pose.used | (np.linalg.norm(pose.residuals, axis=-1).max(axis=1) < GROSS * side)
     ids = marks.ids[use]
     weight = np.linalg.inv(marks.joint[use])
     each, which = np.unique(ids, return_inverse=True)
-    total = np.zeros((len(each), 8, 8))
+    total, held = np.zeros((len(each), 8, 8)), np.zeros((len(each), 8, 8))
     np.add.at(total, which, weight)
+    np.add.at(held, which, weight * pose.used[use][:, None, None])
     corners = np.zeros((len(each), 4, 2))
     corners[which] = marks.board[use]
-    seen = view(pose, corners, total)
+    seen = view(pose, corners, held)
     # A photograph and its dark show a mark twice: the weighted mean of what they show.
     pulled = np.zeros((len(each), 8))
     np.add.at(pulled, which, np.einsum("nij,nj->ni", weight, pose.residuals[use].reshape(-1, 8)))
