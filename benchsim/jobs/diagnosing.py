@@ -226,7 +226,7 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
     d, problem, predict = result.diagnosis, result.problem, result.problem.predict
     assert isinstance(predict, Predict)
     progress("fitting settings for the renders", 0.8)
-    found = [f.name for f in d.effects] + [name for c in d.classes for name in c.members[0]]
+    found = [f.name for f in d.effects] + list(amend.chosen(d))
     of_effects = {p.name for e in problem.catalogue for p in e.parameters}
     bare = {k: v for k, v in d.values.items() if k not in of_effects}
     count = len(problem.names)

@@ -18,12 +18,15 @@ from benchsim.instruments.bench.effects import PHYSICS_OF, Term, simulated, term
 
 Array = NDArray[np.float64]
 
+CLAIMED = 0.9
+"""Probability from which a class is claimed where the verdict is not "class"."""
+
 
 def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recording:
     """The recording with what was found in its ``[effects]``, and a law in its ``[fields]``.
 
     Amplitudes are added to what the file has, shapes replace it, as `prediction.Predict.truth` has them.
-    Of a class the most probable member is put in. Against "vector" the file's ``[physics]`` are all false, as the
+    Of a class that is claimed the most probable member is put in. Against "vector" the file's ``[physics]`` are all false, as the
     simulation in doubt had them, and its switches appear as effects with the amplitude that was found.
 
     Parameters
@@ -37,12 +40,11 @@ def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recor
     Recording
     """
     found = {f.name: {k: s.value for k, s in f.parameters.items()} for f in d.effects}
-    for c in d.classes:
-        for name in c.members[0] if c.members else ():
-            own = {t.name for t in terms(name, recording.mirror.facets)}
-            values = {k: v for k, v in d.values.items() if k in own}
-            if values:
-                found.setdefault(name, values)
+    for name in chosen(d):
+        own = {t.name for t in terms(name, recording.mirror.facets)}
+        values = {k: v for k, v in d.values.items() if k in own}
+        if values:
+            found.setdefault(name, values)
     effects = {name: dict(values) for name, values in recording.effects.items()}
     for name, values in found.items():
         effects[name] = combined(name, effects.get(name, {}), values, recording.mirror.facets)
@@ -51,6 +53,12 @@ def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recor
         name, new = law_field(d.law)
         fields[name] = new if name not in fields else summed(fields[name], new)
     return replace(recording, physics=simulated(recording, against), effects=effects, fields=fields)
+
+
+def chosen(d: Diagnosis) -> tuple[str, ...]:
+    """Effects of the most probable member of every class that is claimed."""
+    claimed = [c for c in d.classes if c.members and (d.verdict == "class" or c.probability >= CLAIMED)]
+    return tuple(dict.fromkeys(name for c in claimed for name in c.members[0]))
 
 
 def combined(name: str, old: Mapping[str, float], found: Mapping[str, float], facets: int) -> dict[str, float]:
