@@ -31,8 +31,12 @@ from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
 Array = NDArray[np.float64]
 
-STILL = 2e-3
-"""Gain in ln posterior below which nothing is held to move: 0.06 sigma."""
+STILL = 0.2
+"""Gain in ln posterior that renewed derivatives may still promise in a converged fit. Names are given at margins of 3
+and more; where settings are known far worse than the data, less is the rounding of the derivatives."""
+
+DESCENT = 2e-3
+"""Gain below which one descent ends."""
 
 AGREE = 0.05
 """Relative error of the nuisances' columns that is let pass, in a random combination of one posterior sigma each."""
@@ -280,7 +284,7 @@ class _State:
 
 
 def _descend(
-    context: Context, h: Hypothesis, prior: _Prior, state: _State, white: Array, still: float = STILL / 4
+    context: Context, h: Hypothesis, prior: _Prior, state: _State, white: Array, still: float = DESCENT
 ) -> _State:
     """Gauss-Newton with the derivatives as they are."""
     p = len(context.problem.nuisances)
@@ -302,6 +306,12 @@ def _descend(
     return state
 
 
+def _still(context: Context, residual: Array) -> float:
+    """`STILL` in units of the errors that the residual shows: a hypothesis that misses by far need not miss exactly."""
+    white = context.whiten(residual)
+    return STILL * max(1.0, float(white @ white) / max(len(white), 1))
+
+
 def _begin(context: Context, h: Hypothesis, prior: _Prior, point: Point) -> _State:
     theta = _theta(point)
     cost, residual = _cost(context, h, prior, theta)
@@ -317,10 +327,11 @@ def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: 
         return known
     at = values(problem, h, _point(theta, p, len(h.amplitudes)))
     white = context.whiten(known.columns)
-    covariance = np.linalg.inv(white.T @ white + np.diag(scaled**-2.0))
+    lower = np.linalg.cholesky(white.T @ white + np.diag(scaled**-2.0))
     # A fixed seed: the same data give the same diagnosis.
-    draw = np.linalg.cholesky(covariance) @ np.random.default_rng(len(h.names)).choice([-1.0, 1.0], p)
-    step = 0.5 * draw / max(float(np.abs(draw).max()), 0.1)
+    signs = np.random.default_rng(len(h.names)).choice([-1.0, 1.0], p)
+    draw = solve_triangular(lower, signs, lower=True, trans=1)
+    step = 0.05 * draw / max(float(np.abs(draw).max()), 0.05)
     ends = [
         context.predict(
             {**at, **{n.name: at[n.name] + sign * s * n.sigma for n, s in zip(nuisances, step, strict=True)}}
@@ -429,7 +440,7 @@ def fit(
             prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
             state = _begin(context, h, prior, _point(state.theta, p, k))
         promise = _step(white(known.columns, own), context.whiten(state.residual), prior, state.theta, p)[1]
-        converged = promise < STILL
+        converged = promise < _still(context, state.residual)
         if not converged:
             continue
         if checked >= len(starts) - 1:
@@ -438,7 +449,7 @@ def fit(
         other = _begin(context, h, prior, starts[checked])
         if np.isfinite(other.cost):
             other = _descend(context, h, prior, other, white(known.columns, own))
-            if other.cost < state.cost - STILL:
+            if other.cost < state.cost - _still(context, state.residual):
                 state, converged = other, False
                 continue
         if checked >= len(starts) - 1:
