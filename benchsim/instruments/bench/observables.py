@@ -220,7 +220,8 @@ def _marks_scatter(
         robust = float(np.median(size[others])) / np.sqrt(np.log(2))
         if size[worst] <= 2.0 * robust:
             return scale, lone
-        alone = size[near[worst]].max() < LONE * robust
+        # Two bad marks may be neighbours; a fault of the board is seen by more.
+        alone = np.sort(size[near[worst]])[-2] < LONE * robust
         lone[worst] = size[worst] > LONE * robust and alone
         settled[worst] = True
 
