@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchsim import diagnosis, trace
+from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, sources
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.writing import write_text
@@ -18,7 +19,6 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amend, effects, observables
 from benchsim.instruments.bench import problem as bench_problem
-from benchsim.instruments.bench.prediction import Predict
 from benchsim.jobs.output import default_folder, label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import Workers, workers
@@ -49,6 +49,8 @@ class DiagnosisResult:
         One sentence for each thing about the recording that limits what can be told.
     against : {"bench", "vector"}
     folder : Path
+    not_drawn : tuple of str
+        One sentence for each picture that could not be made.
     """
 
     recording: Recording
@@ -59,6 +61,7 @@ class DiagnosisResult:
     remarks: tuple[str, ...]
     against: str
     folder: Path
+    not_drawn: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``diagnosis.json``."""
@@ -92,7 +95,8 @@ class DiagnosisResult:
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        return f"{self.text()}\n\nwritten: {self.folder}/"
+        missing = "".join(f"\nnot drawn: {sentence}" for sentence in self.not_drawn)
+        return f"{self.text()}\n{missing}\nwritten: {self.folder}/"
 
 
 def diagnose(
@@ -143,7 +147,7 @@ def diagnose(
             write_text(staging / "summary.txt", result.text() + "\n")
             amend.write_amended(result.amended, staging / "amended.toml", folder)
         if pictures:
-            draw(result, folder, pool, progress)
+            result = replace(result, not_drawn=draw(result, folder, pool, progress))
     progress("done", 1.0)
     return result
 
@@ -201,8 +205,8 @@ def remarks(recording: Recording, observed: Sequence[observables.Observed]) -> t
     return tuple(out)
 
 
-def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progress = silent) -> None:
-    """Draw a diagnosis into the folder that holds it."""
+def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progress = silent) -> tuple[str, ...]:
+    """Draw a diagnosis into the folder that holds it; returns what could not be drawn, in sentences."""
     d, problem = result.diagnosis, result.problem
     title = label(result.recording)
     progress("drawing", 0.78)
@@ -210,7 +214,12 @@ def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progres
     pictures.observables(folder / "observables.png", problem, d, title)
     pictures.probability(folder / "probability.png", d, problem.catalogue, title)
     _draw_located(result, folder, pool, title)
-    draw_pixels(result, folder, progress)
+    try:
+        draw_pixels(result, folder, progress)
+    except BenchsimError as error:
+        # Unknown gammas or a missing back end cost this picture, not the diagnosis.
+        return (str(error),)
+    return ()
 
 
 def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = silent) -> None:
@@ -220,11 +229,10 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
     field is left out. Writes ``pixels.png`` and ``pixels.json``.
     """
     from benchsim.instruments.bench.probable import left_out, probable
-    from benchsim.jobs.comparing import compare
+    from benchsim.jobs import comparing
     from benchsim.render import backend
 
-    d, problem, predict = result.diagnosis, result.problem, result.problem.predict
-    assert isinstance(predict, Predict)
+    d, problem = result.diagnosis, result.problem
     progress("fitting settings for the renders", 0.8)
     found = [f.name for f in d.effects] + list(amend.chosen(d))
     of_effects = {p.name for e in problem.catalogue for p in e.parameters}
@@ -238,8 +246,8 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
         after = [dict(d.values)] * count
         before = [probable(problem, problem.nuisances, bare)] * count if found else after
     backend.use(None)
-    compared = compare(
-        result.recording, predict, before, after, progress=lambda what, done: progress(what, 0.82 + 0.17 * done)
+    compared = comparing.compare(
+        result.recording, problem, before, after, progress=lambda what, done: progress(what, 0.82 + 0.17 * done)
     )
     rows = [
         {"exposure": x.name, "pixels": x.pixels, "before": x.before.z_std, "after": x.after.z_std}
@@ -248,17 +256,12 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
     pooled = {which: compared.pooled(which) for which in ("before", "after")}
     plain = {"left_out": several, "exposures": rows, "pooled": pooled, "lost": list(compared.lost)}
     write_text(folder / "pixels.json", json.dumps(plain, indent=1) + "\n")
-    strips = [
-        pictures.Strip(x.name, x.t, x.n, x.photograph, x.before.z, x.after.z, x.before.z_std, x.after.z_std)
-        for x in compared.exposures
-    ]
-    title = label(result.recording)
     how = "each setting rendered with what the others say" if several else "settings fitted"
-    pictures.pixels(
-        folder,
-        strips,
-        f"{title}: photographs less their renders, {how}; all pixels together {pooled['before']:.2f} → "
-        f"{pooled['after']:.2f} sigma",
+    comparing.draw(
+        compared,
+        folder / "pixels.png",
+        f"{label(result.recording)}: photographs less their renders, {how}; all pixels together "
+        f"{pooled['before']:.2f} → {pooled['after']:.2f} sigma",
     )
 
 

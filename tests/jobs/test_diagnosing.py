@@ -106,6 +106,15 @@ def test_results_lie_in_the_folder_before_pictures_are_begun(recording, tmp_path
     assert not list(tmp_path.glob(".out*"))
 
 
+def test_a_render_that_is_not_to_be_had_costs_a_picture_only(recording, tmp_path, quick, monkeypatch):
+    def refuse(*_):
+        raise BenchsimError("no usable back end; install LLVM")
+
+    monkeypatch.setattr(diagnosing, "draw_pixels", refuse)
+    result = jobs.diagnose(recording, tmp_path / "out")
+    assert "not drawn: no usable back end" in result.summary() and (tmp_path / "out" / "probability.png").is_file()
+
+
 def test_against_vector_writes_its_physics(recording, tmp_path, quick):
     result = jobs.diagnose(recording, tmp_path / "out", against="vector", pictures=False)
     assert "facets" in {e.name for e in result.problem.catalogue}

@@ -26,8 +26,8 @@ def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recor
     """The recording with what was found in its ``[effects]``, and a law in its ``[fields]``.
 
     Amplitudes are added to what the file has, shapes replace it, as `prediction.Predict.truth` has them.
-    Of a class that is claimed the most probable member is put in. Against "vector" the file's ``[physics]`` are all false, as the
-    simulation in doubt had them, and its switches appear as effects with the amplitude that was found.
+    Of a class that is claimed the most probable member is put in. Against "vector" the file's ``[physics]`` are all
+    false, as the simulation in doubt had them, and its switches appear as effects with the amplitude that was found.
 
     Parameters
     ----------
