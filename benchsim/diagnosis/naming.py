@@ -26,11 +26,18 @@ from benchsim.diagnosis.screen import Catalogue
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-FEWEST, MOST = 5, 10
+FEWEST, MOST = 4, 10
 """Refits, the null included."""
+
+ROUGHLY = 3
+"""Descents of the first fit of the null, which only has to come near enough to judge the noise."""
 
 MATTERS = 6.0
 """ln Z behind the best at which a hypothesis that was only screened is left at that."""
+
+IDLE = 1.5
+"""The same for what was weighed about the fit of all its effects but one: that linearisation is the right one unless
+the added effect is large, and then it is not behind."""
 
 LARGEST = 4
 """Effects in one hypothesis."""
@@ -131,6 +138,7 @@ def _null(problem: Problem) -> tuple[Solved, Noise]:
         [zero],
         Known(columns, (), zero.nuisance),
         np.zeros((len(problem.data), 0)),
+        rounds=ROUGHLY,
     )
     return solved, found
 
@@ -166,11 +174,11 @@ def _search(
     while len(done) < refits:
         best = max(s.fit.log_evidence for s in done.values())
         left = [e for e in table.log_z if e not in done]
+        if len(done) >= FEWEST:
+            left = [e for e in left if table.log_z[e] >= best - _margin(table, done, e)]
         if not left:
             break
         pick = max(left, key=lambda e: table.log_z[e])
-        if table.log_z[pick] < best - MATTERS and len(done) >= FEWEST:
-            break
         tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * len(done) / refits)
         solved = _refit(context, catalogue, pick, done[table.source[pick]], done)
         done[pick] = solved
@@ -178,6 +186,13 @@ def _search(
         if solved.fit.converged:
             _weigh_again(context, catalogue, white, solved, table, done)
     return table, done
+
+
+def _margin(table: _Table, done: Mapping[Effects, Solved], effects: Effects) -> float:
+    """How far behind the best a hypothesis may be and still has to be refitted."""
+    source = table.source[effects]
+    settled = source and set(source) < set(effects) and done[source].fit.converged
+    return IDLE if settled else MATTERS
 
 
 def _nearest(effects: Effects, done: Mapping[Effects, Solved]) -> Known:

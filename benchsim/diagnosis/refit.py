@@ -386,6 +386,7 @@ def fit(
     known: Known,
     own: Array | None = None,
     log_prior: float = 0.0,
+    rounds: int | None = None,
 ) -> Solved:
     """Fit a hypothesis.
 
@@ -401,6 +402,8 @@ def fit(
         Columns of own amplitudes and shapes at the first start; default they are differentiated.
     log_prior : float
         Of the presence of its effects.
+    rounds : int, optional
+        Most descents; default `ROUNDS`.
 
     Returns
     -------
@@ -427,7 +430,7 @@ def fit(
     prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
     state = _begin(context, h, prior, starts[0])
     converged, checked = False, 0
-    for turn in range(ROUNDS):
+    for turn in range(rounds or ROUNDS):
         state = _descend(context, h, prior, state, white(known.columns, own))
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
         known = _fresh(context, h, state.theta, known, s)

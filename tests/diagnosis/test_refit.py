@@ -58,9 +58,9 @@ def test_the_peak_is_that_of_an_independent_optimiser(truth, effects, shape):
     best = least_squares(lambda t: cost(problem, h, t, fit.setting_scale), moved, xtol=1e-12, ftol=1e-12, gtol=1e-10)
     ours = 0.5 * (cost(problem, h, start, fit.setting_scale) ** 2).sum()
     assert fit.converged
-    assert ours - best.cost < 0.05
+    assert ours - best.cost < refit.STILL
     for name, value in zip([a.name for a in (*h.amplitudes, *h.shapes)], best.x[len(problem.nuisances) :], strict=True):
-        assert abs(value - fit.values[name]) < 0.2 * fit.sigma[name]
+        assert abs(value - fit.values[name]) < 0.5 * fit.sigma[name]
 
 
 def test_laplace_evidence_against_integration_over_a_nonlinear_amplitude():
