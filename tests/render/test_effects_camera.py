@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchsim import rays
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import field
 from benchsim.bench.files import read
@@ -172,6 +173,21 @@ def test_a_tilted_board_shows_the_same_light_on_more_paper(light):
     steep = photograph(SCREEN, CAMERA, light, placement=standing(), effects={"screen-tilt": {"st_z": 300.0}})
     ratio = steep.laser.max() / plain.laser.max()
     assert ratio == pytest.approx(1 / np.hypot(1, 0.3), rel=0.02)
+
+
+@pytest.mark.parametrize("name", [*OF_LIGHT, "grid-scale", "grid-aspect", "grid-shear"])
+def test_the_ray_model_sees_the_same(name):
+    """`rays.see`, written apart, gives the closed form that pictures are held against."""
+    effects = {name: {**OF_LIGHT, **ON_PAPER}[name]}
+    y, z = np.array(SPOTS).T
+    placement, (rotation, translation) = standing(), camera_pose(CAMERA)
+    a = 1e-3 * effects.get("screen-rotation", {}).get("srot", 0.0)
+    turn = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    board = rotation @ placement.screen_rotation @ turn
+    origin = rotation @ placement.screen_origin + translation
+    origin = origin + effects.get("screen-distance", {}).get("sx", 0.0) * board[:, 0]
+    got = rays.see(bench(stands(), effects=effects), CAMERA, board, origin, np.array(SPOTS), printed=True)
+    np.testing.assert_allclose(got, seen(y, z, effects, on_paper=True), atol=1e-6)
 
 
 def misses(picture, **keywords):
