@@ -15,7 +15,7 @@ prior enters as a Gaussian of the same height, range/√(2π) wide.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +41,13 @@ DESCENT = 2e-3
 AGREE = 0.05
 """Relative error of the nuisances' columns that is let pass, in a random combination of one posterior sigma each."""
 
-STEPS = 12
-"""Of one descent."""
+STEPS, SHRINKS = 12, 6
+"""Of one descent, and of the region before a step is given up."""
 
-ROUNDS = 6
+RADIUS = 3.0
+"""Prior sigmas by which a first step may move a parameter."""
+
+ROUNDS = 8
 """Descents with derivatives renewed in between."""
 
 
@@ -202,6 +205,8 @@ class _Prior:
     high: Array
     reach: Array
     """Largest step."""
+    unit: Array
+    """Steps are measured in these: prior sigmas; shapes have their reach instead."""
 
     def cost(self, theta: Array) -> float:
         return float(0.5 * self.precision @ theta**2 + self.slope @ theta)
@@ -211,7 +216,7 @@ def _prior(context: Context, h: Hypothesis, scale: float, fields: Sequence[float
     scaled = np.array([p.scaled for p in context.problem.nuisances], bool)
     p, shapes = len(scaled), h.shapes
     precision, slope = list(np.where(scaled, scale, 1.0) ** -2.0), [0.0] * p
-    low, high, reach = [-np.inf] * p, [np.inf] * p, [np.inf] * p
+    low, high, reach, unit = [-np.inf] * p, [np.inf] * p, [np.inf] * p, [1.0] * p
     for a, sigma in zip(h.amplitudes, h.sigmas(fields), strict=True):
         kind = evidence.kind(a)
         precision.append(0.0 if kind == 2 else sigma**-2.0)
@@ -219,13 +224,15 @@ def _prior(context: Context, h: Hypothesis, scale: float, fields: Sequence[float
         low.append(0.0 if kind else -np.inf)
         high.append(np.inf)
         reach.append(np.inf)
+        unit.append(a.sigma**a.power)
     for s in shapes:
         precision.append(0.0)
         slope.append(0.0)
         low.append(min(s.grid))
         high.append(max(s.grid))
         reach.append(0.25 * _range(s))
-    return _Prior(*(np.array(v, float) for v in (precision, slope, low, high, reach)))
+        unit.append(np.inf)
+    return _Prior(*(np.array(v, float) for v in (precision, slope, low, high, reach, unit)))
 
 
 def _theta(point: Point) -> Array:
@@ -247,10 +254,30 @@ def _cost(context: Context, h: Hypothesis, prior: _Prior, theta: Array) -> tuple
     return float(0.5 * white @ white) + prior.cost(theta), residual
 
 
-def _step(white: Array, residual: Array, prior: _Prior, theta: Array, p: int) -> tuple[Array, float]:
-    """Best step of the linearised problem within the bounds, and what it promises to gain."""
+def _normal(white: Array, residual: Array, prior: _Prior, theta: Array) -> tuple[Array, Array]:
+    """Second and (less) first derivatives of −ln posterior as linearised."""
     hessian = white.T @ white + np.diag(prior.precision)
-    force = white.T @ residual - prior.precision * theta - prior.slope
+    return hessian, white.T @ residual - prior.precision * theta - prior.slope
+
+
+def _step(
+    normal: tuple[Array, Array], prior: _Prior, theta: Array, p: int, radius: float = np.inf
+) -> tuple[Array, float]:
+    """Best step within the bounds, none longer than ``radius`` prior sigmas, and what it promises to gain.
+
+    Damping by the nuisances' priors (Levenberg): settings that the data fix a thousand times better than their priors
+    otherwise send those that they do not fix off the screen.
+    """
+    hessian, force = normal
+    for damping in (0.0, *np.geomspace(1.0, 1e10, 21)):
+        step = _bounded(hessian + damping * np.diag(prior.unit**-2.0), force, prior, theta, p)
+        if np.abs(step / prior.unit).max(initial=0.0) <= radius:
+            break
+    return step, float(force @ step - 0.5 * step @ hessian @ step)
+
+
+def _bounded(hessian: Array, force: Array, prior: _Prior, theta: Array, p: int) -> Array:
+    """argmax of the quadratic form, amplitudes and shapes within their bounds."""
     free, rest = hessian[:p, :p], hessian[p:, :p]
     solved = np.linalg.solve(free, np.column_stack([force[:p], rest.T])) if p else np.zeros((0, 1 + len(theta)))
     step = np.zeros(len(theta))
@@ -271,7 +298,7 @@ def _step(white: Array, residual: Array, prior: _Prior, theta: Array, p: int) ->
             own = np.clip(lsq_linear(factor.T, target, (low, high), method="bvls").x, low, high)
         step[p:] = own / unit
     step[:p] = solved[:, 0] - solved[:, 1:] @ step[p:]
-    return step, float(force @ step - 0.5 * step @ hessian @ step)
+    return step
 
 
 @dataclass(frozen=True)
@@ -279,43 +306,46 @@ class _State:
     theta: Array
     cost: float
     residual: Array
-    promise: float
-    """Gain that the linearised problem still promises."""
 
 
 def _descend(
     context: Context, h: Hypothesis, prior: _Prior, state: _State, white: Array, still: float = DESCENT
 ) -> _State:
-    """Gauss-Newton with the derivatives as they are."""
-    p = len(context.problem.nuisances)
+    """Gauss-Newton with the derivatives as they are, in a region that grows and shrinks with their success."""
+    p, radius = len(context.problem.nuisances), RADIUS
     for _ in range(STEPS):
-        step, promise = _step(white, context.whiten(state.residual), prior, state.theta, p)
+        normal = _normal(white, context.whiten(state.residual), prior, state.theta)
+        promise = _step(normal, prior, state.theta, p)[1]
         if promise < still:
-            return replace(state, promise=promise)
-        for fraction in (1.0, 0.5, 0.25, 0.1, 0.03):
-            theta = state.theta + fraction * step
-            cost, residual = _cost(context, h, prior, theta)
+            break
+        for _ in range(SHRINKS):
+            step, expected = _step(normal, prior, state.theta, p, radius)
+            cost, residual = _cost(context, h, prior, state.theta + step)
             if cost < state.cost:
                 break
-        else:
-            return replace(state, promise=promise)
+            radius = 0.3 * min(radius, float(np.abs(step / prior.unit).max(initial=0.0)) or radius)
+        if not cost < state.cost:
+            break
         gained = state.cost - cost
-        state = _State(theta, cost, residual, promise)
-        if gained < still:
-            return state
+        state = _State(state.theta + step, cost, residual)
+        # Old derivatives that keep a quarter of their promise are better renewed than followed.
+        if gained < max(still, 0.25 * expected):
+            break
+        if gained > 0.75 * expected:
+            radius *= 2
     return state
+
+
+def _begin(context: Context, h: Hypothesis, prior: _Prior, point: Point) -> _State:
+    theta = _theta(point)
+    cost, residual = _cost(context, h, prior, theta)
+    return _State(theta, cost, residual)
 
 
 def _still(context: Context, residual: Array) -> float:
     """`STILL` in units of the errors that the residual shows: a hypothesis that misses by far need not miss exactly."""
     white = context.whiten(residual)
     return STILL * max(1.0, float(white @ white) / max(len(white), 1))
-
-
-def _begin(context: Context, h: Hypothesis, prior: _Prior, point: Point) -> _State:
-    theta = _theta(point)
-    cost, residual = _cost(context, h, prior, theta)
-    return _State(theta, cost, residual, np.inf)
 
 
 def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: Array) -> Known:
@@ -442,7 +472,8 @@ def fit(
             hyper = now
             prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
             state = _begin(context, h, prior, _point(state.theta, p, k))
-        promise = _step(white(known.columns, own), context.whiten(state.residual), prior, state.theta, p)[1]
+        normal = _normal(white(known.columns, own), context.whiten(state.residual), prior, state.theta)
+        promise = _step(normal, prior, state.theta, p)[1]
         converged = promise < _still(context, state.residual)
         if not converged:
             continue
