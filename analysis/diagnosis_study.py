@@ -194,7 +194,7 @@ def photographs_case(row: str, seed: int, case: int, shrink: int) -> dict[str, A
     with tempfile.TemporaryDirectory() as folder:
         made = render_recording(stated, folder, seed=int(rng.integers(2**32)), conceal=True)
         taken = replace(made.recording, uncertainty=u)
-        observed = observables.observe(taken)
+        observed, _lost = observables.observe(taken)
         judged = bench_problem.build(taken, observed)
         if row == "removed":
             judged = replace(judged, catalogue=tuple(e for e in judged.catalogue if e.name not in truth.effects))

@@ -35,9 +35,8 @@ def one(seed: int, shrink: int) -> dict[str, Any]:
     recording = draw.bench("campaign", np.random.default_rng(seed), shrink)
     with tempfile.TemporaryDirectory() as folder:
         made = render_recording(recording, folder, seed=seed)
-        d = diagnosis.diagnose(
-            bench_problem.build(made.recording, observables.observe(made.recording), against="vector")
-        )
+        observed, _lost = observables.observe(made.recording)
+        d = diagnosis.diagnose(bench_problem.build(made.recording, observed, against="vector"))
     return {
         "seed": seed,
         "verdict": d.verdict,

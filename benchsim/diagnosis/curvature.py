@@ -1,0 +1,153 @@
+"""The prediction to second order in the nuisances, so that its derivatives are known everywhere near.
+
+Setting errors move data by a thousand sigma and then nearly cancel each other: derivatives taken at one point are wrong
+by many sigma at another, and a fit that keeps them wanders off along the directions that nearly cancel. With second
+derivatives, measured once about the stated settings,
+
+    J(x) = J₀ + H x + Σₐ q_a M_a ,
+
+x the nuisances in prior sigmas, q_a the amplitudes (value**power) and M_a the change of the nuisances' columns per unit
+of it, which is also the change of the amplitude's column per nuisance. Residuals stay exact; only the direction of
+steps and the width of posteriors rest on this. Not for predictions that bend to third order within a few prior sigma.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim.diagnosis.linear import whiten
+from benchsim.diagnosis.problem import Parameter, Problem
+
+Array = NDArray[np.float64]
+
+STEP = 1.0
+"""Of the differences, in prior sigmas: what is wanted is the behaviour over a few of them."""
+
+FLAT = 0.05
+"""A nuisance that bends the data by less than this many sigma over one prior sigma is taken to act linearly."""
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """First and second derivatives by the nuisances per prior sigma, about the stated settings.
+
+    Attributes
+    ----------
+    first : (n, p)
+    curved : per block, (m_b,) int
+        Nuisances that act nonlinearly there.
+    second : per block, (n_b, m_b, m_b)
+    plain : per block, (n_b,)
+        The prediction there.
+    steps : per block, (n_b, m_b)
+        Prediction with one curved nuisance moved by `STEP`, less ``plain``.
+    """
+
+    first: Array
+    curved: tuple[NDArray[np.intp], ...]
+    second: tuple[Array, ...]
+    plain: tuple[Array, ...]
+    steps: tuple[Array, ...]
+
+
+def measure(problem: Problem) -> tuple[Curvature, int]:
+    """Differentiate twice; also the number of predictions it took."""
+    nuisances, blocks = problem.nuisances, range(len(problem.names))
+    acting = [[k for k, p in enumerate(nuisances) if p.blocks is None or b in p.blocks] for b in blocks]
+    tasks = [(b, k, sign) for b in blocks for k in acting[b] for sign in (1.0, -1.0)]
+    values = [{nuisances[k].name: sign * STEP * nuisances[k].sigma} for _, k, sign in tasks]
+    plain = tuple(np.asarray(f) for f in problem.spread(problem.predict, [{}] * len(blocks), list(blocks)))
+    found = problem.spread(problem.predict, values, [b for b, _, _ in tasks])
+    first = np.zeros((len(problem.data), len(nuisances)))
+    bend = np.zeros_like(first)
+    ahead: dict[tuple[int, int], Array] = {}
+    for (b, k, sign), f in zip(tasks, found, strict=True):
+        rows, change = problem.rows(b), np.asarray(f) - plain[b]
+        first[rows, k] += sign * change / (2 * STEP)
+        bend[rows, k] += change / STEP**2
+        if sign > 0:
+            ahead[b, k] = change
+    white = whiten(problem, problem.covariance, bend)[0]
+    curved, second, steps, pairs = [], [], [], []
+    for b in blocks:
+        rows = problem.rows(b)
+        own = [k for k in acting[b] if np.linalg.norm(white[rows, k]) > 2 * FLAT]
+        curved.append(np.array(own, np.intp))
+        h = np.zeros((len(plain[b]), len(own), len(own)))
+        for i, k in enumerate(own):
+            h[:, i, i] = bend[rows, k]
+        second.append(h)
+        steps.append(np.stack([ahead[b, k] for k in own], axis=1) if own else np.zeros((len(plain[b]), 0)))
+        pairs += [(b, i, j) for i in range(len(own)) for j in range(i)]
+    both = [
+        {nuisances[curved[b][i]].name: STEP * nuisances[curved[b][i]].sigma}
+        | {nuisances[curved[b][j]].name: STEP * nuisances[curved[b][j]].sigma}
+        for b, i, j in pairs
+    ]
+    found = problem.spread(problem.predict, both, [b for b, _, _ in pairs])
+    for (b, i, j), f in zip(pairs, found, strict=True):
+        mixed = (np.asarray(f) - plain[b] - steps[b][:, i] - steps[b][:, j]) / STEP**2
+        second[b][:, i, j] = second[b][:, j, i] = mixed
+    count = len(plain) + len(tasks) + len(pairs)
+    return Curvature(first, tuple(curved), tuple(second), plain, tuple(steps)), count
+
+
+def mixed(
+    problem: Problem, about: Curvature, parameter: Parameter, amplitude: float, others: Mapping[str, float]
+) -> tuple[tuple[Array, ...], int]:
+    """Change of the curved nuisances' columns per unit of an amplitude, per block (n_b, m_b).
+
+    Parameters
+    ----------
+    problem : Problem
+    about : Curvature
+    parameter : Parameter
+    amplitude : float
+        value**power at which it is measured; its sign and size should be those of interest.
+    others : mapping
+        Shape parameters that the amplitude needs.
+
+    Returns
+    -------
+    changes, number of predictions
+    """
+    value = amplitude ** (1 / parameter.power) if parameter.power > 1 else amplitude
+    on = {**others, parameter.name: value}
+    tasks = [(b, -1) for b in range(len(problem.names))]
+    tasks += [(b, i) for b in range(len(problem.names)) for i in range(len(about.curved[b]))]
+    nuisances = problem.nuisances
+    values = [
+        on if i < 0 else {**on, nuisances[about.curved[b][i]].name: STEP * nuisances[about.curved[b][i]].sigma}
+        for b, i in tasks
+    ]
+    out = [np.zeros_like(s) for s in about.steps]
+    alone: dict[int, Array] = {}
+    for (b, i), f in zip(tasks, problem.spread(problem.predict, values, [b for b, _ in tasks]), strict=True):
+        if i < 0:
+            alone[b] = np.asarray(f)
+        else:
+            out[b][:, i] = (np.asarray(f) - alone[b] - about.steps[b][:, i]) / (STEP * amplitude)
+    return tuple(out), len(tasks)
+
+
+def nuisance_columns(problem: Problem, about: Curvature, nuisance: Array, changes: Array | None = None) -> Array:
+    """J(x), (n, p); ``changes`` (n, p) is Σ q_a M_a where amplitudes are large."""
+    out = about.first.copy() if changes is None else about.first + changes
+    for b, own in enumerate(about.curved):
+        if len(own):
+            rows = problem.rows(b)
+            out[rows, own] += about.second[b] @ nuisance[own]
+    return out
+
+
+def spread_out(problem: Problem, about: Curvature, change: tuple[Array, ...]) -> Array:
+    """M_a as (n, p)."""
+    out = np.zeros_like(about.first)
+    for b, own in enumerate(about.curved):
+        if len(own):
+            out[problem.rows(b), own] = change[b]
+    return out
