@@ -192,8 +192,8 @@ def compare(
     """Render exposures before and after, and hold them against their photographs.
 
     What is shown is a render each, laid on the photograph with a gain, a blur, and a background where there is no dark
-    picture. Of the setting errors the pixels themselves place the mirror in the beam, within its uncertainty (`moved`),
-    before and after alike; nothing else is fitted to them.
+    picture. Of the setting errors the pixels themselves place the mirror in the beam, within three of its sigmas
+    (`moved`), before and after alike; nothing else is fitted to them.
 
     Parameters
     ----------
