@@ -36,8 +36,11 @@ MATTERS = 6.0
 """ln Z behind the best at which a hypothesis that was only screened is left at that."""
 
 IDLE = 1.5
-"""The same for what was weighed about the fit of all its effects but one: that linearisation is the right one unless
-the added effect is large, and then it is not behind."""
+"""The same for what was weighed about a good fit of fewer effects: that linearisation is the right one unless what is
+added is large, and then it is not behind."""
+
+BENT = 3.0
+"""χ² per datum from which a fit's nuisances are no place to start from."""
 
 LARGEST = 4
 """Effects in one hypothesis."""
@@ -190,9 +193,10 @@ def _search(
 
 def _margin(table: _Table, done: Mapping[Effects, Solved], effects: Effects) -> float:
     """How far behind the best a hypothesis may be and still has to be refitted."""
-    source = table.source[effects]
-    settled = source and set(source) < set(effects) and done[source].fit.converged
-    return IDLE if settled else MATTERS
+    source = done[table.source[effects]].fit
+    best = max(s.fit.log_evidence for s in done.values())
+    near = source.converged and source.log_evidence > best - MATTERS
+    return IDLE if near and set(source.effects) < set(effects) else MATTERS
 
 
 def _nearest(effects: Effects, done: Mapping[Effects, Solved]) -> Known:
@@ -224,6 +228,9 @@ def _refit(
         nuisance = source.point.nuisance if first == 0 else np.zeros(lin.nuisance.shape[1])
         starts.append(Point(nuisance, np.array(amplitude), np.array(shape)))
     own = None
+    if source.fit.chi2 > BENT * len(context.problem.data):
+        # Nuisances that were bent to hide an effect are further from the truth than as stated.
+        starts[0], starts[1] = replace(starts[1], shape=starts[0].shape), starts[0]
     if not own_effects:
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
         own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])

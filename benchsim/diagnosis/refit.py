@@ -343,9 +343,9 @@ def _begin(context: Context, h: Hypothesis, prior: _Prior, point: Point) -> _Sta
 
 
 def _still(context: Context, residual: Array) -> float:
-    """`STILL` in units of the errors that the residual shows: a hypothesis that misses by far need not miss exactly."""
+    """`STILL`, and a thousandth of a misfit that is beyond doubt: what misses by far need not miss exactly."""
     white = context.whiten(residual)
-    return STILL * max(1.0, float(white @ white) / max(len(white), 1))
+    return STILL + 1e-3 * max(0.0, 0.5 * float(white @ white) - len(white))
 
 
 def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: Array) -> Known:

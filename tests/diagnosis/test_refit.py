@@ -102,7 +102,7 @@ def test_a_fit_that_finds_no_step_is_marked_unconverged(monkeypatch):
 
 
 def test_unconverged_fits_come_last_and_a_naming_says_so(monkeypatch):
-    monkeypatch.setattr(refit, "STILL", 0.0)
+    monkeypatch.setattr(refit, "STILL", -np.inf)
     found = naming.name(lines.problem({"turn": 0.5}, seed=1)[0])
     assert not any(f.converged for f in found.fits)
     monkeypatch.undo()
