@@ -7,6 +7,7 @@ light does from there on each of them works out for itself.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +97,7 @@ def rotation_axis(normal: Array, stands_for: str) -> Array:
     return horizontal if stands_for == "elevation" else np.cross(normal, horizontal)
 
 
+@lru_cache(maxsize=256)
 def aim(mirror: Mirror, exposure: Exposure, radius: float | None = None) -> Aim:
     """Aim the mirror and the laser as the setting states them.
 
@@ -114,7 +116,11 @@ def aim(mirror: Mirror, exposure: Exposure, radius: float | None = None) -> Aim:
     centre = np.asarray(exposure.mirror_position, float)
     source = toward_source(exposure.laser_azimuth, exposure.laser_elevation)
     normal = ideal_normal(centre, source, r)
-    return Aim(source, normal, rotation_axis(normal, mirror.stands_for), centre + r * normal)
+    found = Aim(source, normal, rotation_axis(normal, mirror.stands_for), centre + r * normal)
+    # It is kept for the next who asks, so nobody may write into it.
+    for vector in (found.source, found.normal, found.axis, found.point):
+        vector.setflags(write=False)
+    return found
 
 
 def _zeros(n: int) -> Array:

@@ -9,7 +9,7 @@ time-averaged trace, `diffraction`, `profile` and `width` what they look like, `
 from benchsim.rays.camera import board_points, pixel_rays, project, project_board, see
 from benchsim.rays.curve import irradiance, irradiance_profiles, trace_curve
 from benchsim.rays.effects import EFFECTS
-from benchsim.rays.prediction import ghost, predict
+from benchsim.rays.prediction import ghost, predict, predict_many
 
 __all__ = [
     "EFFECTS",
@@ -19,6 +19,7 @@ __all__ = [
     "irradiance_profiles",
     "pixel_rays",
     "predict",
+    "predict_many",
     "project",
     "project_board",
     "see",

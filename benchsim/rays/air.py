@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, prepared
 from benchsim.bench.place import Placement
-from benchsim.rays.laser import dot, outer
+from benchsim.rays.laser import dot, outer, over, some
 from benchsim.rays.mirror import refracted
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class AirEffects:
     @property
     def still(self) -> bool:
         """Whether light runs straight."""
-        return not (self.window or any(self.gradient) or self.plume[0]) and self.kick is None
+        return not some(self.window, *self.gradient, self.plume[0]) and self.kick is None
 
 
 def effects(tables: Effects, fields: Mapping[str, Field]) -> AirEffects:
@@ -99,9 +99,9 @@ def effects(tables: Effects, fields: Mapping[str, Field]) -> AirEffects:
     )
 
 
-def half_way(placement: Placement) -> float:
+def half_way(placement: Placement) -> Array:
     """World x [mm] of the plane half way between the mirror's centre of rotation and the screen's centre."""
-    return float(0.5 * (placement.centre[0] + placement.screen_origin[0]))
+    return np.asarray(0.5 * (placement.centre[..., 0] + placement.screen_origin[..., 0]))
 
 
 def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> tuple[Array, Array]:
@@ -121,27 +121,28 @@ def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> 
     """
     if air.still:
         return x, direction
-    if air.plume[0] or air.kick is not None:
+    if some(air.plume[0]) or air.kick is not None:
         s = (half_way(placement) - x[..., 0]) / direction[..., 0]
         crossing = x + s[..., None] * direction
         length = np.sqrt(dot(direction, direction))
         direction = direction + length[..., None] * _kick(air, crossing)
         x = crossing - s[..., None] * direction
-    if any(air.gradient):
-        front = placement.screen_rotation[:, 0]
+    if some(*air.gradient):
+        front = placement.screen_rotation[..., 0]
         length2 = dot(direction, direction)
-        pull = np.array([0.0, *air.gradient])
+        pull = np.stack(np.broadcast_arrays(0.0, *air.gradient), axis=-1)
         # d²X/ds² for s in units of the direction's length: the gradient less its part along the ray.
         bend = outer(length2, pull) - dot(direction, pull)[..., None] * direction
         s = (dot(placement.screen_origin - x, front) / dot(direction, front))[..., None]
         direction = direction + s * bend
         x = x - 0.5 * s * s * bend
-    if not air.window:
+    if not some(air.window):
         return x, direction
-    slab = Rotation.from_rotvec([0.0, *air.turn]).as_matrix()[:, 0]
+    turn = np.stack(np.broadcast_arrays(0.0, *air.turn), axis=-1)
+    slab = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix()[..., 0].reshape(turn.shape)
     inside, cosine, _ = refracted(direction, np.broadcast_to(slab, direction.shape))
     straight = direction / -dot(direction, slab)[..., None]
-    x = x + air.window * (inside / cosine[..., None] - straight)
+    x = x + over(air.window) * (inside / cosine[..., None] - straight)
     return x, direction
 
 
@@ -149,7 +150,7 @@ def _kick(air: AirEffects, crossing: Array) -> Array:
     y, z = crossing[..., 1], crossing[..., 2]
     out = np.zeros_like(crossing)
     strength, y0, z0, width = air.plume
-    if strength:
+    if some(strength):
         out[..., 1] = strength * np.exp(-0.5 * ((y - y0) ** 2 + (z - z0) ** 2) / width**2)
     if air.kick is not None:
         free = air.kick(y, z)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -12,22 +13,16 @@ from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Laser, Mirror, Physics, Screen
 from benchsim.bench.place import Placement
-from benchsim.rays import screen as board_plane
+from benchsim.rays import smooth
+from benchsim.rays.phases import axis_points, check, many_phases, sample_phases, stands
 from benchsim.rays.profile import Profiles
-from benchsim.rays.sweep import Bench, axis_ray, cuts, mixed
+from benchsim.rays.smooth import FAINT, left_of
+from benchsim.rays.stack import stacked
+from benchsim.rays.sweep import Bench, cuts, mixed, nodes_needed
 from benchsim.rays.width import across as irradiance_across
 from benchsim.rays.width import widths
 
 Array = NDArray[np.float64]
-
-MOST = 128
-"""Cap on the nodes in one direction; beams narrower than a twentieth of the facet reach it and are placed less well."""
-
-FAINT = 1e-9
-"""Share of a trace's brightest flux, and of the laser's power on the board, below which the mirror misses the beam."""
-
-SEARCH = (501, 4001)
-"""Phases of the half turn at which the board is looked for: the finer only where the coarser finds nothing."""
 
 
 def trace_curve(
@@ -82,97 +77,16 @@ def trace(bench: Bench, samples: int = 96, *, width: bool = True) -> Curve:
     phase = sample_phases(bench, samples)
     if not bench.physics.beam:
         return _ray_curve(bench, phase, width=width)
+    for rule in smooth.rules(bench):
+        found = smooth.curves(bench, phase, rule, width=width)
+        if found.resolved:
+            return found.curve()
     points, _, nodes = beam_profiles(bench, phase)
     return Curve(points, widths(bench, nodes) if width else None, nodes.flux, nodes.mean(nodes.phase))
 
 
-def check(bench: Bench) -> None:
-    """Raise BenchsimError if the laser stands below the horizon or behind the mirror."""
-    d = bench.placement.laser_direction
-    if d[2] > 0:
-        raise BenchsimError("the laser is below the horizon; give an elevation above 0")
-    if d @ bench.placement.normal >= 0:
-        raise BenchsimError("the laser stands behind the mirror; mend the laser's angles or the mirror's position")
-
-
-def sample_phases(bench: Bench, samples: int) -> Array:
-    """Phases at which the laser's axis ray travels evenly over the board, (samples,) [rad], growing.
-
-    Raises
-    ------
-    BenchsimError
-        If the ray misses the mirror at all phases, or never meets the board.
-    """
-    for count in SEARCH:
-        grid = np.linspace(-np.pi / 2, np.pi / 2, count)
-        beyond, board = _beyond(bench, grid)
-        on = np.flatnonzero(beyond <= 0)
-        if len(on):
-            break
-    else:
-        if not np.isfinite(beyond).any():
-            raise BenchsimError(
-                "the mirror misses the beam or sends none of it toward the board; "
-                "mend the mirror's position or the laser's angles"
-            )
-        nearest = board[np.argmin(beyond)]
-        raise BenchsimError(
-            f"the trace passes beside the board (nearest point y = {nearest[0]:.0f}, z = {nearest[1]:.0f} mm); "
-            "mend the mirror's position, the laser's angles or the screen's size"
-        )
-    runs = np.split(on, np.flatnonzero(np.diff(on) > 1) + 1)
-    run = min(runs, key=lambda r: np.min(np.abs(grid[r])))
-    before, after = max(int(run[0]) - 1, 0), min(int(run[-1]) + 1, len(grid) - 1)
-    if np.isfinite(beyond[[before, after]]).all():
-        first, last = grid[before], grid[after]
-    else:
-        first, last = _edges(bench, grid, int(run[0]), int(run[-1]))
-    dense = np.linspace(first, last, 160)
-    light = axis_ray(bench, dense)
-    steps = np.diff(light.board, axis=0)
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
-    # Where it crosses the edge, by a straight line between two of these points: to some 1e-3 mm.
-    off = board_plane.margin(bench.screen.size, light.board)
-    on = np.flatnonzero(off <= 0)
-    i, j = (int(on[0]), int(on[-1])) if len(on) else (0, len(dense) - 1)
-    start = s[i] if i == 0 else s[i] + (s[i - 1] - s[i]) * off[i] / (off[i] - off[i - 1])
-    end = s[j] if j == len(dense) - 1 else s[j] + (s[j + 1] - s[j]) * off[j] / (off[j] - off[j + 1])
-    return np.interp(np.linspace(start, end, samples), s, dense)
-
-
-def _beyond(bench: Bench, phase: Array) -> tuple[Array, Array]:
-    """How far beyond the board's edge the axis ray lands [mm], infinite where it does not, and where."""
-    p = bench.placement
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        light = axis_ray(bench, phase)
-        lit = light.reaches(p)
-        if bench.facets and not bench.physics.beam:
-            rest = light.x - p.centre
-            along = rest @ p.axis
-            off = (rest * rest).sum(axis=-1) - along**2 - bench.radius**2
-            lit &= np.sqrt(np.maximum(off, 0.0)) <= bench.mirror.facet_width / 2
-        return np.where(lit, board_plane.margin(bench.screen.size, light.board), np.inf), light.board
-
-
-def _edges(bench: Bench, grid: Array, first: int, last: int) -> tuple[float, float]:
-    """Phases at which the axis ray comes onto the board and leaves it, to 1e-3 of the grid's step, from inside."""
-    inside, ways = (first, last), (-1, 1)
-    out = [float(grid[i]) for i in inside]
-    beside = [
-        float(grid[i + w]) if 0 <= i + w < len(grid) else float(grid[i]) for i, w in zip(inside, ways, strict=True)
-    ]
-    for _ in range(2):
-        part = np.linspace(out, beside, 33)
-        off = _beyond(bench, part.ravel())[0].reshape(part.shape) > 0
-        for side in (0, 1):
-            k = int(np.argmax(off[:, side])) if off[:, side].any() else len(part)
-            out[side] = float(part[max(k - 1, 0), side])
-            beside[side] = float(part[min(k, len(part) - 1), side])
-    return out[0], out[1]
-
-
 def _ray_curve(bench: Bench, phase: Array, *, width: bool = True) -> Curve:
-    points = axis_ray(bench, phase).board
+    points = axis_points(bench, phase)
     spread = np.full(len(phase), bench.parts.timing.shake)
     tangent = tangents(points)
     nodes = mixed(bench, cuts(bench, points, tangent, phase[:, None, None], 1, 1, kicks=False), points, tangent, 1)
@@ -181,6 +95,39 @@ def _ray_curve(bench: Bench, phase: Array, *, width: bool = True) -> Curve:
         points = points + centre[:, None] * left_of(tangent)
         spread = np.hypot(spread, np.sqrt((nodes.share * (nodes.shift - centre[:, None]) ** 2).sum(axis=1)))
     return Curve(points, spread if width else None, nodes.flux, phase)
+
+
+def traces(benches: Sequence[Bench], samples: int = 96, *, width: bool = True) -> list[Curve | None]:
+    """`trace` of benches that are `stack.alike`, worked out together; None where the light misses mirror or board."""
+    out: list[Curve | None] = [None] * len(benches)
+    left = [i for i, bench in enumerate(benches) if stands(bench)]
+    if not left:
+        return out
+    members = [benches[i] for i in left]
+    together = stacked(members)
+    phase = many_phases(together, members, samples)
+    lit = np.asarray(np.isfinite(phase).all(axis=1))
+    left, phase = [i for i, on in zip(left, lit.tolist(), strict=True) if on], phase[lit]
+    for rule in smooth.rules(together):
+        if not left:
+            break
+        if len(left) < len(members):
+            members = [benches[i] for i in left]
+            together = stacked(members)
+        found = smooth.curves(together, phase, rule, width=width)
+        for k in np.flatnonzero(found.resolved).tolist():
+            out[left[k]] = found.curve(k)
+        left, phase = [i for i in left if out[i] is None], phase[~found.resolved]
+    for i in left:
+        out[i] = _or_none(benches[i], samples, width=width)
+    return out
+
+
+def _or_none(bench: Bench, samples: int, *, width: bool) -> Curve | None:
+    try:
+        return trace(bench, samples, width=width)
+    except BenchsimError:
+        return None
 
 
 def tangents(points: Array) -> Array:
@@ -200,22 +147,6 @@ def tangents(points: Array) -> Array:
 def _derivative(n: int) -> Array:
     """Matrix (n, n) of the derivative of the cubic spline through n evenly spaced values."""
     return np.asarray(CubicSpline(np.arange(n), np.eye(n))(np.arange(n), 1))
-
-
-def left_of(tangent: Array) -> Array:
-    return np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-
-
-def nodes_needed(bench: Bench) -> tuple[int, int]:
-    """Gauss–Legendre nodes over a facet's width and height that place the centre line to 1e-7 mm.
-
-    The facet's half sides in units of the beam's waist decide; measured against 80 × 40 nodes over beam diameters of
-    1 to 40 mm, on twelve settings disturbed by 2 σ.
-    """
-    w = bench.laser.waist
-    across = 4 + int(np.ceil(5 * bench.mirror.facet_width / 2 / w))
-    along = 3 + int(np.ceil(6 * bench.mirror.height / 2 / w))
-    return min(across, MOST), min(along, MOST)
 
 
 def beam_profiles(
@@ -245,7 +176,7 @@ def beam_profiles(
     BenchsimError
         If the mirror misses the beam.
     """
-    points = axis_ray(bench, phase).board
+    points = axis_points(bench, phase)
     need = nodes_needed(bench)
     start = phase[:, None, None]
     for t, h in ((across or need[0], 1), (across or need[0], along or need[1])):

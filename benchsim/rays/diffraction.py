@@ -62,25 +62,85 @@ def fresnel_profile(nodes: Profiles, wavelength: float, height: float, q: Array)
     (profile, n) ndarray
         Light per mm² of the board; its integral over all q is the flux.
     """
-    along, half = nodes.q.shape[2], height / 2
-    # The turn per mm hardly differs over a facet's width; one value per profile serves all its nodes.
-    chirp = (2 * np.pi / wavelength) * nodes.chirp.mean(axis=(1, 2))
-    # |Φ'| H/2 radians over half the rule's interval need about half as many nodes, and some to converge.
-    reach = np.max(np.abs(q), initial=0.0) + np.max(np.abs(nodes.q), initial=0.0)
-    need = 16 + int(0.6 * half * np.max(np.abs(chirp)) * reach)
-    rule, fine, fine_weight, carry, rise = _rules(along, 8 * (need // 8 + 1))
-    per_height = np.maximum((nodes.weight / (half * rule)) @ carry, 0.0)
-    bend = chirp[:, None, None] * (half * (nodes.q @ rise))
-    still = np.sqrt(per_height) * (half * fine_weight) * (np.cos(bend) + 1j * np.sin(bend))
+    half = height / 2
+    reach = float(np.max(np.abs(q), initial=0.0))
+    chirp, fine, still = _still(nodes, wavelength, height, rule_needed(nodes, wavelength, height, reach))
     out = np.empty(q.shape)
     some = max(1, LARGEST // max(1, q.shape[1] * len(fine)))
     for i in range(0, len(q), some):
         p = slice(i, i + some)
         turn = ((-half * chirp[p, None]) * q[p])[..., None] * fine
         field = (np.cos(turn) + 1j * np.sin(turn)) @ still[p].transpose(0, 2, 1)
-        light = (field.real**2 + field.imag**2).sum(axis=2)
-        out[p] = (np.abs(chirp[p, None]) / (2 * np.pi)) * light
+        out[p] = (np.abs(chirp[p, None]) / (2 * np.pi)) * (field.real**2 + field.imag**2).sum(axis=2)
     return out
+
+
+def even_profile(
+    nodes: Profiles, wavelength: float, height: float, middle: Array, reach: Array, count: int, rule: int
+) -> Array:
+    """`fresnel_profile` at evenly spaced offsets, a few times faster.
+
+    Parameters
+    ----------
+    nodes, wavelength, height
+        As there.
+    middle, reach : (profile,) array [mm]
+        Of the offsets: middle + reach j/count, j from −count to count.
+    count : int
+    rule : int
+        Nodes over the height, at least `rule_needed`.
+
+    Returns
+    -------
+    (profile, 2 count + 1) ndarray
+    """
+    chirp, fine, still = _still(nodes, wavelength, height, rule)
+    per_mm = (0.5 * height * chirp)[:, None] * fine
+    turn = per_mm * middle[:, None]
+    still = still * (np.cos(turn) - 1j * np.sin(turn))[:, None, :]
+    # cos and sin of j steps, from those of half as many by the addition theorem.
+    step = per_mm * (reach / count)[:, None]
+    table = np.empty((2, count + 1, *step.shape))
+    (c, s), done = table, 1
+    c[0], s[0] = 1.0, 0.0
+    while done <= count:
+        cos, sin = np.cos(done * step), np.sin(done * step)
+        more = slice(done, min(2 * done, count + 1))
+        here = slice(0, more.stop - done)
+        c[more], s[more] = c[here] * cos - s[here] * sin, s[here] * cos + c[here] * sin
+        done *= 2
+    # Even and odd part of the field about the middle; real and imaginary part side by side.
+    parts = np.concatenate([still.real, still.imag], axis=1).transpose(0, 2, 1)
+    even, odd = (t.transpose(1, 0, 2) @ parts for t in (c, s))
+    n = still.shape[1]
+    a, b, x, y = even[..., :n], even[..., n:], odd[..., :n], odd[..., n:]
+    # exp(−iθ) (a + ib) on one side, exp(+iθ) on the other.
+    right, left = (a + y) ** 2 + (b - x) ** 2, (a - y) ** 2 + (b + x) ** 2
+    light = np.concatenate([left[:, :0:-1], right], axis=1).sum(axis=2)
+    return np.asarray((np.abs(chirp[:, None]) / (2 * np.pi)) * light)
+
+
+def rule_needed(nodes: Profiles, wavelength: float, height: float, reach: float) -> int:
+    """Nodes over the height that the integral needs at offsets up to ``reach`` [mm] from the curve."""
+    chirp = _chirp(nodes, wavelength)
+    # |Φ'| H/2 radians over half the rule's interval need about half as many nodes, and some to converge.
+    far = reach + float(np.max(np.abs(nodes.q), initial=0.0))
+    need = 16 + int(0.3 * height * np.max(np.abs(chirp)) * far)
+    return 8 * (need // 8 + 1)
+
+
+def _chirp(nodes: Profiles, wavelength: float) -> Array:
+    # The turn per mm hardly differs over a facet's width; one value per profile serves all its nodes.
+    return np.asarray((2 * np.pi / wavelength) * nodes.chirp.mean(axis=(1, 2)))
+
+
+def _still(nodes: Profiles, wavelength: float, height: float, rule: int) -> tuple[Array, Array, NDArray[np.complex128]]:
+    """k c (profile,), the finer rule over the height, and A exp(iΦ) times its weights at q = 0, (profile, t, fine)."""
+    half, chirp = height / 2, _chirp(nodes, wavelength)
+    weight, fine, fine_weight, carry, rise = _rules(nodes.q.shape[2], rule)
+    per_height = np.maximum((nodes.weight / (half * weight)) @ carry, 0.0)
+    bend = chirp[:, None, None] * (half * (nodes.q @ rise))
+    return chirp, fine, np.sqrt(per_height) * (half * fine_weight) * (np.cos(bend) + 1j * np.sin(bend))
 
 
 @lru_cache(maxsize=64)

@@ -68,7 +68,7 @@ class SourceEffects:
     @property
     def homocentric(self) -> bool:
         """Whether all rays still pass through one point."""
-        return self.angle is None and not (any(self.astigmatism) or any(self.coma))
+        return self.angle is None and not some(*self.astigmatism, *self.coma)
 
 
 def effects(
@@ -100,8 +100,8 @@ def effects(
 def section(placement: Placement) -> tuple[Array, Array]:
     """Unit vectors u, v across the beam: v is the mirror's axis less its part along d, u = v × d."""
     d = placement.laser_direction
-    v = placement.axis - (placement.axis @ d) * d
-    v = v / np.linalg.norm(v)
+    v = placement.axis - over(dot(placement.axis, d)) * d
+    v = v / over(np.sqrt(dot(v, v)))
     return cross(v, d), v
 
 
@@ -125,9 +125,25 @@ def dot(a: Array, b: Array) -> Array:
     return np.asarray(out if a.shape[-1] == 2 else out + a[..., 2] * b[..., 2])
 
 
+def some(*values: Any) -> bool:
+    """Whether any of some numbers, or of arrays that hold one number for each of several benches, is not 0."""
+    return any(bool(v.any()) if isinstance(v, np.ndarray) else bool(v) for v in values)
+
+
+def over(scalars: Any) -> Any:
+    """Scalars (...) as they multiply vectors (..., 3)."""
+    return scalars[..., None] if isinstance(scalars, np.ndarray) and scalars.ndim else scalars
+
+
 def outer(scalars: Array, vector: Array) -> Array:
-    """Vectors (..., 3) of scalars (...) times one vector; each component lies together in memory, which is faster."""
-    return components_last(np.multiply.outer(vector, scalars))
+    """Vectors (..., 3) of scalars (...) times one vector, or vectors that broadcast against the scalars.
+
+    Each component lies together in memory, which is faster.
+    """
+    if vector.ndim == 1:
+        return components_last(np.multiply.outer(vector, scalars))
+    parts = [scalars * vector[..., k] for k in range(vector.shape[-1])]
+    return components_last(np.stack(parts))
 
 
 def components_last(stack: Array) -> Array:
@@ -136,9 +152,10 @@ def components_last(stack: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Vector product of two single vectors, without the checks that make NumPy's slow for them."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+    """Vector product of single vectors or stacks, without the checks that make NumPy's slow for them."""
+    single = a.ndim == b.ndim == 1
+    (ax, ay, az), (bx, by, bz) = (v.tolist() if single else np.moveaxis(v, -1, 0) for v in (a, b))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def direction(curvature: float, point: Array, axis: Array, x: Array) -> Array:
@@ -222,7 +239,7 @@ class Beam:
         offset = x - self.point
         if not self.more.homocentric:
             return self._aberrated(offset)
-        g = self.axis + self.curvature * offset
+        g = self.axis + over(self.curvature) * offset
 
         def density(normal: Array, which: Any = ...) -> Array:
             here = offset[which]
@@ -231,7 +248,7 @@ class Beam:
             inverse = 1.0 / spread
             rho2 = (dot(here, here) - along * along) * inverse**2
             light = self._gaussian(rho2)
-            if any(self.more.shape):
+            if some(*self.more.shape):
                 u, v = self._across(here)
                 light = light * self._shape(u * inverse, v * inverse)
             return light * np.maximum(-dot(g[which], normal), 0.0) * inverse**3
@@ -270,7 +287,7 @@ class Beam:
 
         m11, m12, m22 = 1 + zeta * k11, zeta * k12, 1 + zeta * k22
         det = m11 * m22 - m12 * m12
-        plain = angle is None and not any(self.more.coma)
+        plain = angle is None and not some(*self.more.coma)
         gu = gv = np.zeros_like(zeta)
         # Each round shrinks the error by ζ dc/dρ, which is below 0.02 for the largest plausible aberrations.
         for _ in range(1 if plain else 4):
@@ -295,7 +312,7 @@ class Beam:
                 j11, j21, j12, j22 = j11 + by_u[0], j21 + by_u[1], j12 + by_v[0], j22 + by_v[1]
             stretch = (1 + down * j11) * (1 + down * j22) - down * down * j12 * j21
             light = self._gaussian(a * a + b * b)
-            if any(self.more.shape):
+            if some(*self.more.shape):
                 light = light * self._shape(a, b)
             return light * np.maximum(-dot(g[which], normal), 0.0) / stretch
 
@@ -318,7 +335,7 @@ def beam(laser: Laser, placement: Placement, source: SourceEffects) -> Beam:
         placement.laser_direction,
         laser.waist,
         laser.curvature + source.curvature,
-        None if source.homocentric and not any(source.shape) else section(placement),
+        None if source.homocentric and not some(*source.shape) else section(placement),
         source,
     )
 

@@ -14,7 +14,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, evaluate
 from benchsim.bench.model import Mirror
 from benchsim.bench.place import Placement
-from benchsim.rays.laser import cross, dot, outer
+from benchsim.rays.laser import cross, dot, outer, over, some
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
@@ -71,21 +71,27 @@ class MirrorEffects:
         """Lean of one facet, or (None) the mean of all, at phases [rad]."""
         if self.leans is None or self.phases is None:
             return 0.0
-        row = self.leans.mean(axis=0) if facet is None else self.leans[facet]
-        return float(row[0]) if len(row) == 1 else np.interp(phase, self.phases, row)
+        row = self.leans.mean(axis=-2) if facet is None else self.leans[..., facet, :]
+        if row.shape[-1] == 1:
+            return np.asarray(row[..., 0]) if row.ndim > 1 else float(row[0])
+        return np.interp(phase, self.phases, row)
 
     @property
     def uneven(self) -> bool:
         """Whether leans change with the phase."""
-        return self.leans is not None and self.leans.shape[1] > 1
+        return self.leans is not None and self.leans.shape[-1] > 1
 
     def spread(self, phase: Array) -> Array | None:
-        """Each facet's lean less the mean of all at phases (n,): (n, facets) [rad]; None if all are equal."""
+        """Each facet's lean less the mean of all at phases (..., n): (..., n, facets) [rad]; None if all are equal."""
         if self.leans is None or self.phases is None:
             return None
-        off = self.leans - self.leans.mean(axis=0)
+        off = self.leans - self.leans.mean(axis=-2, keepdims=True)
         if np.abs(off).max() < 1e-15:
             return None
+        if not self.uneven:
+            # Of several benches they are (bench, 1, 1, facets, 1).
+            rows = off[..., 0, 0, :, 0] if off.ndim > 2 else off[:, 0]
+            return np.broadcast_to(rows[..., None, :], (*phase.shape, off.shape[-2]))
         return np.stack([np.interp(phase, self.phases, row) for row in off], axis=1)
 
     def steepness(self, phase: Array, step: float = 1e-3) -> Array:
@@ -173,7 +179,7 @@ def _turn(placement: Placement, phase: Array) -> tuple[Array, Array]:
     """Normal, and axis × normal."""
     e = np.asarray(phase)
     a, n = placement.axis, placement.normal
-    lift = (a @ n) * a
+    lift = over(dot(a, n)) * a
     flat = n - lift
     across = cross(a, n)
     c, s = np.cos(e), np.sin(e)
@@ -203,13 +209,13 @@ def facet_point(placement: Placement, radius: float, normal: Array, t: Array, h:
 
 def surface(
     placement: Placement,
-    radius: float,
-    curvature: float,
+    radius: Array | float,
+    curvature: Array | float,
     phase: Array,
     lean: Array | float,
     t: Array,
     h: Array,
-    depth: float = 0.0,
+    depth: Array | float = 0.0,
 ) -> tuple[Array, Array, Array | None]:
     """Points and normals of a facet that may lean about its centre and be curved.
 
@@ -233,20 +239,18 @@ def surface(
     """
     normal, across = _turn(placement, phase)
     along: Array = placement.axis
-    x = placement.centre + radius * normal
+    x = placement.centre + over(radius) * normal
     if not (np.ndim(lean) == 0 and lean == 0):
-        c, s = np.cos(lean), np.sin(lean)
-        if np.ndim(lean):
-            c, s = c[..., None], s[..., None]
+        c, s = over(np.cos(lean)), over(np.sin(lean))
         normal, along = c * normal + s * along, c * along - s * normal
     th, hh = np.asarray(t, float)[..., None], np.asarray(h, float)[..., None]
-    if depth:
-        x = x - depth * normal
+    if some(depth):
+        x = x - over(depth) * normal
     x = x + th * across + hh * along
-    if not curvature:
+    if not some(curvature):
         return x, normal, None
-    x = x - 0.5 * curvature * (th * th + hh * hh) * normal
-    normal = normal + curvature * (th * across + hh * along)
+    x = x - 0.5 * over(curvature) * (th * th + hh * hh) * normal
+    normal = normal + over(curvature) * (th * across + hh * along)
     area = np.sqrt(dot(normal, normal))
     return x, normal / area[..., None], area
 
@@ -308,7 +312,7 @@ def refracted(direction: Array, normal: Array, index: float = GLASS) -> tuple[Ar
 
 
 def through_glass(
-    thickness: float, coating: Array, normal: Array, direction_at: Callable[[Array], Array]
+    thickness: Array | float, coating: Array, normal: Array, direction_at: Callable[[Array], Array]
 ) -> tuple[Array, Array, Array]:
     """Light that reaches points of a coating through the plane-parallel glass before it, and leaves again.
 
@@ -328,7 +332,7 @@ def through_glass(
     passed : (...) ndarray
         Share of the light that passes the front face both ways.
     """
-    entry = coating + thickness * normal
+    entry = coating + over(thickness) * normal
     # Each round shrinks the error by thickness × curvature, some 2e-3.
     for _ in range(4):
         inside, cosine, reflectance = refracted(direction_at(entry), normal)

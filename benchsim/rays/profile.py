@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class Profiles(NamedTuple):
-    """Nodes of profiles across a trace: axes are (profile, t, h).
+    """Nodes of profiles across a trace: axes are (profile, t, h), before them (bench,) where there are several.
 
     ``q`` [mm] where the light from a node cuts the profile's line, ``weight`` its light per mm of the curve, ``phase``
     [rad] when; ``lateral`` [mm/rad] how far a turn of the reflected ray across its motion moves q; ``chirp`` [1/mm]
@@ -32,11 +32,11 @@ class Profiles(NamedTuple):
     @property
     def flux(self) -> Array:
         """Light per mm of the curve, (profile,)."""
-        return np.asarray(self.weight.sum(axis=(1, 2)))
+        return np.asarray(self.weight.sum(axis=(-2, -1)))
 
     def mean(self, values: Array) -> Array:
         """Flux-weighted mean over the nodes of a profile, (profile,)."""
-        return np.asarray((self.weight * values).sum(axis=(1, 2)) / self.flux)
+        return np.asarray((self.weight * values).sum(axis=(-2, -1)) / self.flux)
 
     def only(self, which: NDArray[np.generic] | slice) -> Profiles:
         """The profiles of an index."""

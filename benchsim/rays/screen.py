@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from benchsim.bench.fields import Field, prepared
 from benchsim.bench.place import Placement
-from benchsim.rays.laser import components_last, dot
+from benchsim.rays.laser import components_last, dot, some
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
@@ -52,7 +52,7 @@ class BoardEffects:
     @property
     def flat(self) -> bool:
         """Whether the surface is the plane x = 0."""
-        return not (self.distance or any(self.slope) or any(self.bow)) and self.height is None
+        return not some(self.distance, *self.slope, *self.bow) and self.height is None
 
     def slopes(self, y: Array, z: Array) -> tuple[Array, Array]:
         """Slopes of the surface without its field, along y and z."""
@@ -103,7 +103,7 @@ def meet(placement: Placement, x: Array, direction: Array, surface: BoardEffects
         Path from x in units of |direction|. It is positive and ``facing(direction) < 0`` for light that
         reaches the front of the board; the caller checks.
     """
-    front, along_y, along_z = placement.screen_rotation.T
+    front, along_y, along_z = columns(placement.screen_rotation)
     off = x - placement.screen_origin
     with np.errstate(divide="ignore", invalid="ignore"):
         height, falling = dot(off, front), dot(direction, front)
@@ -140,7 +140,12 @@ def to_world(placement: Placement, board: Array) -> Array:
 
 def facing(placement: Placement, direction: Array) -> Array:
     """Component of directions along the board's front normal: negative for light that falls on the front."""
-    return dot(direction, placement.screen_rotation[:, 0])
+    return dot(direction, placement.screen_rotation[..., 0])
+
+
+def columns(rotation: Array) -> Array:
+    """Columns of a matrix, or of a stack of matrices (..., 3, 3): (3, ..., 3)."""
+    return rotation.T if rotation.ndim == 2 else np.moveaxis(rotation, -1, 0)
 
 
 def margin(size: tuple[float, float], board: Array) -> Array:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchsim.bench.fields import Field, evaluate
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import Placement
+from benchsim.rays.laser import over, some
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
@@ -36,9 +37,10 @@ class TimeEffects:
 
     def on_board(self, placement: Placement) -> Array | None:
         """The shift in board coordinates, (2,) [mm]; None without any."""
-        if not any(self.shift):
+        if not some(*self.shift):
             return None
-        return np.asarray(np.array([0.0, *self.shift]) @ placement.screen_rotation[:, 1:])
+        y, z = (over(v) for v in self.shift)
+        return np.asarray(y * placement.screen_rotation[..., 1, 1:] + z * placement.screen_rotation[..., 2, 1:])
 
 
 def effects(tables: Effects, fields: Mapping[str, Field], recording: Recording, exposure: Exposure) -> TimeEffects:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from benchsim.rays import laser as source
-from benchsim.rays.diffraction import fresnel_profile, scales
+from benchsim.rays.diffraction import even_profile, fresnel_profile, rule_needed, scales
 from benchsim.rays.profile import Profiles, adaptive, geometric_profile, refine_height
 from benchsim.rays.sweep import Bench
 
@@ -29,41 +29,98 @@ def widths(bench: Bench, nodes: Profiles) -> Array:
     """Adaptive width about the mean of each profile, (profile,) [mm]; worked out on a few and interpolated."""
     n = len(nodes.q)
     wanted = MORE if nodes.shift is not None and bench.parts.polygon.uneven else FEW
-    few = _few(n, wanted)
-    some = nodes.only(few)
+    return between(n, wanted) @ adaptive_widths(bench, nodes.only(few_of(n, wanted)))
+
+
+def adaptive_widths(bench: Bench, some: Profiles, which: NDArray[np.bool_] | None = None) -> Array:
+    """Adaptive width about 0 of each profile, (..., profile) [mm].
+
+    Parameters
+    ----------
+    bench : Bench
+        Or a stack of benches; the profiles then have a leading axis.
+    some : Profiles
+        ``q`` measured from the curve.
+    which : (bench,) bool, optional
+        Benches of the stack that are wanted; default all. Only theirs are returned.
+    """
+    if some.q.ndim == 3:
+        each = (np.full(len(some.q), float(v)) for v in (source.blur_sigma(bench.laser), bench.parts.timing.shake))
+        return _of_profiles(bench, some, *each)
+    assert which is not None
+    count = some.q.shape[1]
+    blur, shake = (
+        np.broadcast_to(np.reshape(v, (-1, 1)), (len(some.q), count))[which]
+        for v in (source.blur_sigma(bench.laser), bench.parts.timing.shake)
+    )
+    some = some.only(which)
+    out = np.empty(some.q.shape[:2])
+    if bench.physics.diffraction:
+        sizes = np.stack([_sizes(bench, some, k, blur, shake) for k in range(len(out))])
+    else:
+        sizes = np.zeros((len(out), 1), int)
+    # A bench's answer must not depend on its company, so only those of the same grids go together.
+    for size in np.unique(sizes, axis=0):
+        mine = (sizes == size).all(axis=1)
+        flat = _joined(some.only(mine))
+        out[mine] = _of_profiles(bench, flat, blur[mine].ravel(), shake[mine].ravel()).reshape(-1, count)
+    return out
+
+
+def _joined(several: Profiles) -> Profiles:
+    """Profiles of several benches without the leading axis."""
+    q, weight, phase, lateral, chirp = (a.reshape(-1, *a.shape[2:]) for a in several[:5])
+    shift, share = (None if a is None else a.reshape(-1, a.shape[-1]) for a in several[5:])
+    return Profiles(q, weight, phase, lateral, chirp, shift, share)
+
+
+def _sizes(bench: Bench, some: Profiles, k: int, blur: Array, shake: Array) -> Array:
+    mine = some.only(slice(k, k + 1))
+    _, _, count, rule = _window(bench, _joined(mine), blur[k], shake[k])
+    return np.array([count, rule])
+
+
+def _window(bench: Bench, some: Profiles, blur: Array, shake: Array) -> tuple[Array, Array, int, int]:
+    """Spread of the light by blur (profile,), half width of the grid (profile,), its half count, nodes of the slit."""
+    geometric, slit = scales(some, bench.laser.wavelength, bench.mirror.height)
+    sigma = np.hypot(blur * some.lateral.max(axis=(1, 2)), shake)
+    apart = np.zeros(len(some.q)) if some.shift is None else np.ptp(some.shift, axis=1)
+    reach = 2 * geometric + 5 * slit + 6 * sigma + apart
+    # Two samples per slit scale: the pattern times the weight is band-limited, so the sums converge exponentially.
+    count = 4 * int(np.ceil(np.max(2 * reach / slit) / 4))
+    return sigma, reach, count, rule_needed(some, bench.laser.wavelength, bench.mirror.height, float(reach.max()))
+
+
+def _of_profiles(bench: Bench, some: Profiles, blur: Array, shake: Array) -> Array:
     mean = some.mean(some.q)
     if bench.physics.diffraction:
-        geometric, slit = scales(some, bench.laser.wavelength, bench.mirror.height)
-        blur = blurs(bench, some.lateral.max(axis=(1, 2)))[:, None]
-        apart = np.zeros(len(few)) if some.shift is None else np.ptp(some.shift, axis=1)
-        reach = 2 * geometric + 5 * slit + 6 * blur[:, 0] + apart
-        count = 1 + 2 * int(np.ceil(np.max(2 * reach / slit)))
-        # Two samples per slit scale: the pattern times the weight is band-limited, so the sums converge exponentially.
-        q = mean[:, None] + reach[:, None] * np.linspace(-1, 1, count)
-        light = fresnel_profile(some, bench.laser.wavelength, bench.mirror.height, q)
+        sigma, reach, count, rule = _window(bench, some, blur, shake)
+        spread = sigma[:, None]
+        q = mean[:, None] + reach[:, None] * (np.arange(-count, count + 1) / count)
+        light = even_profile(some, bench.laser.wavelength, bench.mirror.height, mean, reach, count, rule)
     else:
         rows, heights = refine_height(some, 4 + 2 * some.q.shape[2])
-        q, light = rows.reshape(len(few), -1), heights.reshape(len(few), -1)
+        q, light = rows.reshape(len(rows), -1), heights.reshape(len(rows), -1)
         lateral = np.repeat(some.lateral.mean(axis=2), rows.shape[2], axis=1)
-        blur = blurs(bench, lateral)
+        spread = np.hypot(blur[:, None] * lateral, shake[:, None])
     if some.shift is not None and some.share is not None:
         facets = some.shift.shape[1]
-        q = (q[:, :, None] + some.shift[:, None, :]).reshape(len(few), -1)
-        light = (light[:, :, None] * some.share[:, None, :]).reshape(len(few), -1)
-        blur = blur if blur.shape[1] == 1 else np.repeat(blur, facets, axis=1)
+        q = (q[:, :, None] + some.shift[:, None, :]).reshape(len(q), -1)
+        light = (light[:, :, None] * some.share[:, None, :]).reshape(len(q), -1)
+        spread = spread if spread.shape[1] == 1 else np.repeat(spread, facets, axis=1)
     # Its own mean is 0: the profiles are measured from the curve.
-    width = adaptive(q, light, np.zeros(len(few)), blur=blur if blur.any() else 0.0)[1]
-    return _between(n, wanted) @ width
+    return adaptive(q, light, np.zeros(len(q)), blur=spread if spread.any() else 0.0)[1]
 
 
-def _few(n: int, wanted: int) -> NDArray[np.intp]:
+def few_of(n: int, wanted: int) -> NDArray[np.intp]:
+    """Numbers of a few of n profiles, evenly over them."""
     return np.unique(np.linspace(0, n - 1, min(n, wanted)).round().astype(int))
 
 
 @lru_cache(maxsize=64)
-def _between(n: int, wanted: int) -> Array:
+def between(n: int, wanted: int) -> Array:
     """Matrix (n, few) of the cubic spline through values at the few profiles."""
-    few = _few(n, wanted)
+    few = few_of(n, wanted)
     return np.asarray(CubicSpline(few, np.eye(len(few)))(np.arange(n)))
 
 
