@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_banded
 
 Array = NDArray[np.float64]
 
@@ -55,17 +56,87 @@ def signed_distance(curve: Curve, points: Array) -> tuple[Array, Array]:
     s : (m,) ndarray
         Arc length of the foot points [mm]. Feet beyond the ends are extrapolated; compare with the curve's range.
     """
-    s_nodes = curve.arc_length()
-    spline = CubicSpline(s_nodes, curve.points)
-    first, second = spline.derivative(), spline.derivative(2)
-    p = np.asarray(points, float)
-    nearest = np.argmin(((p[:, None, :] - curve.points[None, :, :]) ** 2).sum(axis=-1), axis=1)
-    s = s_nodes[nearest]
-    for _ in range(8):
-        d, t = p - spline(s), first(s)
-        step = (d * t).sum(-1) / np.maximum((t * t).sum(-1) - (d * second(s)).sum(-1), 0.1)
-        s = s + step
+    distance, s, _ = signed_distances(curve.points[None], points)
+    return distance[0], s[0]
+
+
+def signed_distances(curves: Array, points: Array, values: Array | None = None) -> tuple[Array, Array, Array | None]:
+    """`signed_distance` of the same points from many curves at once.
+
+    Parameters
+    ----------
+    curves : (curve, n, 2) array [mm]
+        Points along each.
+    points : (m, 2) array [mm]
+    values : (curve, n, k) array, optional
+        Given along the curves, wanted at the feet, by cubic splines in the arc length.
+
+    Returns
+    -------
+    distance, s : (curve, m) ndarray [mm]
+    at_feet : (curve, m, k) ndarray or None
+    """
+    knots: Array = np.zeros(curves.shape[:2])
+    steps = np.diff(curves, axis=1)
+    np.cumsum(np.sqrt(steps[..., 0] ** 2 + steps[..., 1] ** 2), axis=1, out=knots[:, 1:])
+    coefficients = _splines(knots, curves if values is None else np.concatenate([curves, values], axis=2))
+    target = np.asarray(points, float)
+    py, pz = target[:, 0], target[:, 1]
+    far = (py[:, None] - curves[:, None, :, 0]) ** 2 + (pz[:, None] - curves[:, None, :, 1]) ** 2
+    s = np.take_along_axis(knots, np.argmin(far, axis=2), axis=1)
+    # One growing list of all knots: each curve's are moved beyond those of the one before.
+    apart = (np.arange(len(knots)) * (2.0 * knots[:, -1].max() + 1.0))[:, None]
+    rows = np.arange(len(knots))[:, None]
+
+    def piece(s: Array) -> tuple[Array, Array]:
+        """Coefficients (4, k, curve, m) where s lies, and how far into the piece."""
+        inside = np.clip(s, knots[:, :1], knots[:, -1:])
+        i = np.searchsorted((knots + apart).ravel(), (inside + apart).ravel(), side="right").reshape(s.shape)
+        i = np.clip(i - 1 - rows * knots.shape[1], 0, knots.shape[1] - 2)
+        return coefficients[:, :, rows, i], s - knots[rows, i]
+
+    for _ in range(9):
+        (a, b, c, e), u = piece(s)
+        y, z = ((a[:2] * u + b[:2]) * u + c[:2]) * u + e[:2]
+        ty, tz = (3 * a[:2] * u + 2 * b[:2]) * u + c[:2]
+        by, bz = (6 * a[:2] * u + 2 * b[:2])[:2]
+        dy, dz = py - y, pz - z
+        step = (dy * ty + dz * tz) / np.maximum(ty * ty + tz * tz - (dy * by + dz * bz), 0.1)
+        # What a step this small leaves is its square; the distance does not feel it at all.
         if np.max(np.abs(step), initial=0.0) < 1e-12:
             break
-    d, t = p - spline(s), first(s)
-    return (t[:, 0] * d[:, 1] - t[:, 1] * d[:, 0]) / np.linalg.norm(t, axis=1), s
+        s = s + step
+    at_feet = None
+    if values is not None:
+        (a, b, c, e), u = piece(s)
+        at_feet = np.moveaxis(((a[2:] * u + b[2:]) * u + c[2:]) * u + e[2:], 0, -1)
+    return (ty * dz - tz * dy) / np.sqrt(ty * ty + tz * tz), s, at_feet
+
+
+def _splines(knots: Array, values: Array) -> Array:
+    """Coefficients (4, k, curve, n − 1), highest power first, of cubic splines through values (curve, n, k).
+
+    Not-a-knot as `scipy.interpolate.CubicSpline`, whose equations these are, solved for all curves in one.
+    """
+    count, n, k = values.shape
+    if n < 4:
+        return np.stack([CubicSpline(x, y).c for x, y in zip(knots, values, strict=True)]).transpose(1, 3, 0, 2)
+    dx = np.diff(knots, axis=1)
+    rise = np.diff(values, axis=1) / dx[..., None]
+    bands, right = np.zeros((3, count, n)), np.empty(values.shape)
+    bands[1, :, 1:-1] = 2 * (dx[:, :-1] + dx[:, 1:])
+    bands[0, :, 2:] = dx[:, :-1]
+    bands[2, :, :-2] = dx[:, 1:]
+    right[:, 1:-1] = 3 * (dx[:, 1:, None] * rise[:, :-1] + dx[:, :-1, None] * rise[:, 1:])
+    for end, own, other, band in ((0, 0, 1, 0), (-1, -1, -2, 2)):
+        both = dx[:, own] + dx[:, other]
+        bands[1, :, end] = dx[:, other]
+        bands[band, :, 1 if end == 0 else -2] = both
+        p, q, d = dx[:, own, None], dx[:, other, None], both[:, None]
+        right[:, end] = ((p + 2 * d) * q * rise[:, own] + p * p * rise[:, other]) / d
+    slope = solve_banded((1, 1), bands.reshape(3, -1), right.reshape(-1, k)).reshape(values.shape)
+    bend = (slope[:, :-1] + slope[:, 1:] - 2 * rise) / dx[..., None]
+    pieces = np.stack(
+        [bend / dx[..., None], (rise - slope[:, :-1]) / dx[..., None] - bend, slope[:, :-1], values[:, :-1]]
+    )
+    return pieces.transpose(0, 3, 1, 2)

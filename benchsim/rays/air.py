@@ -140,7 +140,7 @@ def carry(air: AirEffects, placement: Placement, x: Array, direction: Array) -> 
         return x, direction
     turn = np.stack(np.broadcast_arrays(0.0, *air.turn), axis=-1)
     slab = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix()[..., 0].reshape(turn.shape)
-    inside, cosine, _ = refracted(direction, np.broadcast_to(slab, direction.shape))
+    inside, cosine, _ = refracted(direction, slab)
     straight = direction / -dot(direction, slab)[..., None]
     x = x + over(air.window) * (inside / cosine[..., None] - straight)
     return x, direction

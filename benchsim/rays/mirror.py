@@ -89,8 +89,8 @@ class MirrorEffects:
         if np.abs(off).max() < 1e-15:
             return None
         if not self.uneven:
-            # Of several benches they are (bench, 1, 1, facets, 1).
-            rows = off[..., 0, 0, :, 0] if off.ndim > 2 else off[:, 0]
+            # Of several benches they are (bench, 1, 1, 1, facets, 1).
+            rows = off[..., 0, 0, 0, :, 0] if off.ndim > 2 else off[:, 0]
             return np.broadcast_to(rows[..., None, :], (*phase.shape, off.shape[-2]))
         return np.stack([np.interp(phase, self.phases, row) for row in off], axis=1)
 

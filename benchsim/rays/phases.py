@@ -76,7 +76,7 @@ def many_phases(bench: Bench, members: Sequence[Bench], samples: int) -> Array:
     ``bench`` is the stack of the members (`stack.stacked`).
     """
     grid = np.linspace(-np.pi / 2, np.pi / 2, SEARCH[0])
-    beyond = np.broadcast_to(_beyond(bench, grid)[0], (len(members), len(grid)))
+    beyond = _beyond(bench, np.broadcast_to(grid, (len(members), len(grid))))[0]
     out = np.full((len(members), samples), np.nan)
     spans = np.zeros((len(members), 2))
     for i, member in enumerate(members):
@@ -89,7 +89,7 @@ def many_phases(bench: Bench, members: Sequence[Bench], samples: int) -> Array:
         except BenchsimError:
             pass
     dense = np.linspace(spans[:, 0], spans[:, 1], DENSE, axis=1)
-    s, off = (np.broadcast_to(a, dense.shape) for a in _way(bench, dense))
+    s, off = _way(bench, dense)
     for i in np.flatnonzero(np.isnan(out[:, 0]) & (spans[:, 0] < spans[:, 1])).tolist():
         out[i] = _even(dense[i], s[i], off[i], samples)
     return out

@@ -104,8 +104,6 @@ def _curves(bench: Bench, phase: Array, rule: Rule, width: bool) -> Smooth:
     need = nodes_needed(bench)
     across, along = (min(a, b) for a, b in zip(need, rule[1:], strict=True))
     points, start = axis_points(bench, at), at[..., None, None]
-    # A stack may share all that the axis ray depends on.
-    points = np.broadcast_to(points, (*phase.shape[:-1], *points.shape[-2:]))
     resolved = np.ones(phase.shape[:-1], bool)
     for h in (1, along):
         step = slope @ points

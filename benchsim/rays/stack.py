@@ -15,7 +15,7 @@ import numpy as np
 
 from benchsim.rays.laser import some
 from benchsim.rays.smooth import narrow
-from benchsim.rays.sweep import Bench
+from benchsim.rays.sweep import Bench, nodes_needed
 
 FEWEST = 6
 """Benches of the same effects that make a stack of their own; fewer share one whose formulas cover all of theirs."""
@@ -37,7 +37,16 @@ def alike(bench: Bench) -> Hashable | None:
     )
     if not plain or mixed or polygon.glass or not has.beam:
         return None
-    return bench.mirror, has, bench.screen, bench.facet, bench.laser.wavelength, _leans_differ(bench), narrow(bench)
+    return (
+        bench.mirror,
+        has,
+        bench.screen,
+        bench.facet,
+        bench.laser.wavelength,
+        _leans_differ(bench),
+        narrow(bench),
+        nodes_needed(bench),
+    )
 
 
 def _leans_differ(bench: Bench) -> bool:

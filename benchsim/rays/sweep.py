@@ -98,7 +98,7 @@ def nodes_needed(bench: Bench) -> tuple[int, int]:
     The facet's half sides in units of the beam's waist decide; measured against 80 × 40 nodes over beam diameters of
     1 to 40 mm, on twelve settings disturbed by 2 σ.
     """
-    w = bench.laser.waist
+    w = float(np.min(bench.laser.waist))
     across = 4 + int(np.ceil(5 * bench.mirror.facet_width / 2 / w))
     along = 3 + int(np.ceil(6 * bench.mirror.height / 2 / w))
     return min(across, MOST), min(along, MOST)
@@ -175,7 +175,7 @@ def axis_ray(bench: Bench, phase: Array, lean: Array | float = 0.0, *, front: bo
     direction = bench.beam.centre
     zero = np.zeros(())
     x, normal, _ = optic.surface(p, bench.radius, 0.0, phase, lean, zero, zero)
-    incoming = np.broadcast_to(direction, normal.shape)
+    incoming = np.broadcast_to(direction, np.broadcast_shapes(direction.shape, normal.shape))
     if bench.facets:
         # On the facet's plane, then on its sag there: the ray is fixed and the facet turns.
         s = (dot(normal, x) - dot(normal, p.laser_point)) / dot(normal, direction)
