@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, gaussian_filter, maximum_filter
 from scipy.optimize import minimize_scalar
+from scipy.spatial import cKDTree
 
 from benchsim import rays
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.model import Camera, Exposure, Recording
-from benchsim.bench.place import SettingErrors, place
-from benchsim.diagnosis.problem import Problem
-from benchsim.instruments.bench import chain
+from benchsim.bench.model import Exposure, Recording
 from benchsim.instruments.bench.observed import Observed
-from benchsim.instruments.bench.prediction import SHAPES, Predict, errors
-from benchsim.instruments.bench.probable import probable
+from benchsim.instruments.bench.probable import State
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trace.band import Band, band_along, smooth_curve
 from benchsim.trace.extract import read_photographs
@@ -40,51 +35,12 @@ FLANK = 8.0
 BLURS = (0.2, 3.0)
 """Range of the lens's blur [px]."""
 
-STEP, STILL = 0.5, 0.02
-"""Move of the mirror along its axis by which a picture is first found to change, and one that is not worth it [mm]."""
+NEAR = 1.0
+"""Farthest pixel that a cell of the straightened grid shows [px]."""
 
-STRETCH = 16
-"""Profiles that a coarse z takes together, the core's two flanks, crest and tails apart."""
-
-RELATIVE_ERROR = 0.01
-"""Of the light that is rendered again, per bin; a pixel sees several, and its own noise is a hundredth or more."""
-
-
-@dataclass(frozen=True)
-class State:
-    """The simulation of one exposure, with the nuisances that are most probable in it.
-
-    Attributes
-    ----------
-    recording : Recording
-        With the effects and fields of this state, and the beam diameter and divergence that were fitted.
-    errors : SettingErrors
-    camera : Camera
-        With its intrinsics as found.
-    rotation, translation : (3, 3), (3,) mm
-        Of the board as its marks define it, solved with this state's board, print and lens.
-    shape : (c4, e_plus, e_cross)
-        Of the beam's profile.
-    """
-
-    recording: Recording
-    errors: SettingErrors
-    camera: Camera
-    rotation: Array
-    translation: Array
-    shape: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-def state(predict: Predict, block: int, values: Mapping[str, float]) -> State:
-    """State of a block of the bench's problem, from values of its nuisances and effects."""
-    b = predict.blocks[block]
-    truth = predict.truth(values)
-    seen, camera = b.observed.view, predict.intrinsics(values, b)
-    rotation, translation = seen.rotation, seen.translation
-    if chain.active(truth) or camera is not None:
-        rotation, translation, _ = chain.true_pose(truth, seen, camera)
-    c4, plus, cross = (values.get(name, 0.0) for name in SHAPES)
-    return State(truth, errors(values, b.setting), camera or seen.camera, rotation, translation, (c4, plus, cross))
+RELATIVE_ERROR = 0.02
+"""Of the light that is rendered again, per bin of 0.25 mm. A pixel sees some sixteen of them and has three hundredths of
+speckle: a quarter of this error changes no z by 0.01."""
 
 
 @dataclass(frozen=True)
@@ -95,21 +51,18 @@ class PixelFit:
     ----------
     gain, blur : float
         Counts per unit of the render; rms of the lens's Gaussian [px].
-    changes : tuple of float
-        What was taken up of each change that was offered; from `compare` the mm of `moved`.
     z_std : float
         rms of the whitened residuals within `WIDTHS` of the trace: 1 where only noise is left.
-    coarse_std : float
-        The same of averages over `STRETCH` profiles, which noise hides less.
+    core_std : float
+        The same within one width.
     model, z : (k, m)
         Light, and residual over a pixel's sigma, on the straightened grid; nan where nothing was compared.
     """
 
     gain: float
     blur: float
-    changes: tuple[float, ...]
     z_std: float
-    coarse_std: float
+    core_std: float
     model: Array
     z: Array
 
@@ -153,59 +106,36 @@ class Comparison:
     exposures: tuple[ExposureComparison, ...]
     lost: tuple[str, ...]
 
-    def pooled(self, which: str) -> float:
-        """rms of z over all pixels; ``which``: "before" or "after"."""
-        square = sum(x.pixels * getattr(x, which).z_std ** 2 for x in self.exposures)
-        return float(np.sqrt(square / max(sum(x.pixels for x in self.exposures), 1)))
-
-
-def moved(problem: Problem, block: int, values: Mapping[str, float], by: float) -> dict[str, float]:
-    """Values with the mirror moved in the beam by so many mm along its axis, the exposure's other errors refitted.
-
-    Where over the mirror's height the beam lies decides how lopsided the line is. The centre line, which other errors
-    can always put back, does not say it; pixels do. The way there is bent, so that the refit is needed.
-    """
-    predict = problem.predict
-    assert isinstance(predict, Predict)
-    b = predict.blocks[block]
-    truth = predict.truth(values)
-    at = place(truth.mirror, truth.exposures[b.observed.index], errors(values, b.setting))
-    along = at.axis - (at.axis @ at.laser_direction) * at.laser_direction
-    along /= np.linalg.norm(along)
-    shift = dict(zip(b.setting[:3], (by * along).tolist(), strict=True))
-    start = {**values, **{name: values.get(name, 0.0) + d for name, d in shift.items()}}
-    own = [p for p in problem.nuisances if p.blocks is not None and block in p.blocks and p.name not in shift]
-    return probable(problem, own, start, [block])
+    def pooled(self, which: str, core: bool = False) -> float:
+        """rms of z over all pixels, or over those within one width; ``which``: "before" or "after"."""
+        fits = [getattr(x, which) for x in self.exposures]
+        std = np.array([f.core_std if core else f.z_std for f in fits])
+        # Every exposure's share of pixels within one width is about the same.
+        return float(np.sqrt(np.average(std**2, weights=[x.pixels for x in self.exposures])))
 
 
 def compare(
     recording: Recording,
-    problem: Problem,
-    before: Sequence[Mapping[str, float]],
-    after: Sequence[Mapping[str, float]],
+    observed: Sequence[Observed],
+    before: Sequence[State],
+    after: Sequence[State],
     *,
-    blocks: Sequence[int] | None = None,
     seed: int = 0,
     relative_error: float = RELATIVE_ERROR,
     progress: Progress = silent,
 ) -> Comparison:
     """Render exposures before and after, and hold them against their photographs.
 
-    What is shown is a render each, laid on the photograph with a gain, a blur, and a background where there is no dark
-    picture. Of the setting errors the pixels themselves place the mirror in the beam, within three of its sigmas
-    (`moved`), before and after alike; nothing else is fitted to them.
+    Gain, blur and, where there is no dark picture, a background are fitted to each photograph; nothing else is.
 
     Parameters
     ----------
     recording : Recording
         With its photographs.
-    problem : Problem
-        Of the bench (`instruments.bench.problem.build`): what was observed, and what its values mean.
-    before, after : sequence of mapping
-        Values of nuisances and effects, for every block: the same for all, or of settings left out for each (see
-        `instruments.bench.probable`).
-    blocks : sequence of int, optional
-        Which to compare; default all.
+    observed : sequence of Observed
+        The exposures to compare.
+    before, after : sequence of State
+        One for each; where both are the same object there is one render.
     seed : int
         Of the light's rays.
     relative_error : float
@@ -221,38 +151,24 @@ def compare(
     BenchsimError
         If no exposure can be compared.
     """
-    predict = problem.predict
-    assert isinstance(predict, Predict)
-    chosen = range(len(predict.blocks)) if blocks is None else blocks
+    from benchsim.render.again import expected
+
+    def show(s: State, exposure: Exposure) -> tuple[Image, Image]:
+        picture = expected(
+            s.recording, exposure, s.camera, s.rotation, s.translation, s.errors,
+            shape=s.shape, seed=seed, relative_error=relative_error,
+        )  # fmt: skip
+        return picture.laser, picture.room
+
     done, lost = [], []
-    limit = 3 * recording.uncertainty.mirror_position / STEP
-    for count, i in enumerate(chosen):
-        observed = predict.blocks[i].observed
-        exposure = recording.exposures[observed.index]
+    for count, (o, old, new) in enumerate(zip(observed, before, after, strict=True)):
+        exposure = recording.exposures[o.index]
         try:
-            show = partial(_render, recording, predict, i, seed=seed, relative_error=relative_error)
-            tell = partial(progress, f"rendering {exposure.name} again")
-            states = (before[i], after[i])
-            tell(count / len(chosen))
-            plain = [show(values) for values in states]
-            free = plain[1].room > 0.85 * recording.screen.reflectance
-            by = [STEP, STEP]
-            for turn in (1, 2):
-                tell((count + turn / 4) / len(chosen))
-                offered = [
-                    [p.laser, show(moved(problem, i, v, d)).laser] for p, v, d in zip(plain, states, by, strict=True)
-                ]
-                tried = compare_exposure(recording, observed, offered[0], offered[1], free, limit)
-                taken = [d * fit.changes[0] for fit, d in zip((tried.before, tried.after), by, strict=True)]
-                # The second turn offers about as much as is needed, so that what is not linear in it counts right.
-                by = [float(np.clip(d, -limit * STEP, limit * STEP)) for d in taken]
-                if max(map(abs, by)) < STILL:
-                    break
-            tell((count + 3 / 4) / len(chosen))
-            last = [[show(moved(problem, i, v, d)).laser] for v, d in zip(states, by, strict=True)]
-            found = compare_exposure(recording, observed, last[0], last[1], free)
-            fits = [replace(fit, changes=(d,)) for fit, d in zip((found.before, found.after), by, strict=True)]
-            done.append(replace(found, before=fits[0], after=fits[1]))
+            progress(f"rendering {exposure.name} again", count / len(observed))
+            last, room = show(new, exposure)
+            progress(f"rendering {exposure.name} again", (count + 0.5) / len(observed))
+            first = last if old is new else show(old, exposure)[0]
+            done.append(compare_exposure(recording, o, first, last, room > 0.85 * recording.screen.reflectance))
         except BenchsimError as error:
             lost.append(f"{exposure.name}: not compared in pixels: {error}")
     if not done:
@@ -260,8 +176,8 @@ def compare(
     return Comparison(tuple(done), tuple(lost))
 
 
-def draw(comparison: Comparison, path: Path, title: str) -> None:
-    """Photograph, render and residuals of every exposure compared, as one picture."""
+def draw(comparison: Comparison, path: Path, title: str) -> list[Path]:
+    """Photograph, render and residuals of every exposure compared; see `report.pixels.strips`."""
     from benchsim.report.pixels import Strip, strips
 
     shown = [
@@ -277,32 +193,7 @@ def draw(comparison: Comparison, path: Path, title: str) -> None:
         )
         for x in comparison.exposures
     ]
-    strips(path, shown, title)
-
-
-def _render(
-    recording: Recording,
-    predict: Predict,
-    block: int,
-    values: Mapping[str, float],
-    *,
-    seed: int,
-    relative_error: float,
-) -> Any:
-    from benchsim.render.again import expected
-
-    s = state(predict, block, values)
-    return expected(
-        s.recording,
-        recording.exposures[predict.blocks[block].observed.index],
-        s.camera,
-        s.rotation,
-        s.translation,
-        s.errors,
-        shape=s.shape,
-        seed=seed,
-        relative_error=relative_error,
-    )
+    return strips(path, shown, title)
 
 
 @dataclass(frozen=True)
@@ -320,14 +211,13 @@ class _View:
     inner: Mask
     half: float
 
+    def white(self, within: float) -> Whitener:
+        """Of the pixels within so many widths."""
+        return whitener(self.u, self.v, self.t, self.grain, np.abs(self.n) <= self.half * within / WIDTHS)
+
 
 def compare_exposure(
-    recording: Recording,
-    observed: Observed,
-    before: Sequence[Image],
-    after: Sequence[Image],
-    free: Mask,
-    limit: float = 1.0,
+    recording: Recording, observed: Observed, before: Image, after: Image, free: Mask
 ) -> ExposureComparison:
     """Hold two renders of one exposure against its photograph.
 
@@ -336,9 +226,8 @@ def compare_exposure(
     recording : Recording
     observed : Observed
         Where the trace is in the picture; not what is expected there.
-    before, after : sequence of (rows, columns)
-        Laser light of each state's render, any scale, without blur; then renders in which something has changed, which
-        is fitted as so many times that change.
+    before, after : (rows, columns)
+        Laser light of each state's render, any scale, without blur.
     free : (rows, columns) bool
         Pixels that see free board; those within four pixels of others are left out.
 
@@ -349,11 +238,10 @@ def compare_exposure(
     """
     exposure = recording.exposures[observed.index]
     view = _view(recording, exposure, observed, free)
-    white = whitener(view.u, view.v, view.t, view.grain, view.inner)
-    own = white(view.grain.residual / np.sqrt(1 - view.grain.leverage))
-    blocks = white(_blocks(view))
-    blocks /= np.maximum(np.linalg.norm(blocks, axis=0), 1e-30)
-    (first, _), (second, background) = (_fit(view, renders, white, blocks, limit) for renders in (before, after))
+    whole, core = view.white(WIDTHS), view.white(1.0)
+    own = whole(view.grain.residual / np.sqrt(1 - view.grain.leverage))
+    second, background = _fit(view, after, whole, core)
+    first = second if before is after else _fit(view, before, whole, core)[0]
     return ExposureComparison(
         name=exposure.name,
         pixels=int(view.inner.sum()),
@@ -411,58 +299,44 @@ def _background_terms(t: Array, n: Array, span: tuple[float, float]) -> Array:
     return np.concatenate([along, along[:, :2] * (n / np.abs(n).max())[:, None]], axis=1)
 
 
-def _blocks(view: _View) -> Array:
-    """Sums over stretches of the trace and fifths of the window, as columns (p, blocks)."""
-    part = np.clip(np.floor((view.n / view.half + 1) * 2.5), 0, 4).astype(int)
-    number = (view.t // STRETCH).astype(int) * 5 + part
-    chosen, number = np.unique(np.where(view.inner, number, -1), return_inverse=True)
-    out = np.zeros((len(view.t), len(chosen)))
-    out[np.arange(len(view.t)), number] = np.sqrt(view.grain.variance)
-    return out[:, chosen >= 0]
-
-
-def _fit(view: _View, renders: Sequence[Image], white: Whitener, blocks: Array, limit: float) -> tuple[PixelFit, Array]:
-    """Gain, changes and background by least squares for every blur, the blur by the residuals' sum of squares."""
+def _fit(view: _View, render: Image, whole: Whitener, core: Whitener) -> tuple[PixelFit, Array]:
+    """Gain and background by least squares for every blur, the blur by the residuals' sum of squares."""
     low_u, low_v = max(int(view.u.min()) - 20, 0), max(int(view.v.min()) - 20, 0)
-    cuts = [np.asarray(r[low_v : view.v.max() + 21, low_u : view.u.max() + 21], float) for r in renders]
-    top = float(cuts[0].max())
+    cut = np.asarray(render[low_v : view.v.max() + 21, low_u : view.u.max() + 21], float)
+    top = float(cut.max())
     if not top > 0:
         raise BenchsimError("no rendered light falls on its trace; the simulation is too far off")
-    cuts = [cuts[0] / top, *((c - cuts[0]) / top for c in cuts[1:])]
     weight = 1 / np.sqrt(view.grain.variance)
+    # What lies beyond the window is needed for the background alone.
+    part = view.inner
     terms = np.zeros((len(view.t), 0))
     if view.background is not None:
+        part = np.ones_like(part)
         terms = _background_terms(view.t, view.n, (0.0, float(view.t.max())))
-    lines, gain = len(cuts), float(view.light.max())
 
     def solve(blur: float) -> tuple[Array, Array]:
-        seen = [gaussian_filter(c, blur, truncate=6.0)[view.v - low_v, view.u - low_u] for c in cuts]
-        design = np.column_stack([*seen, terms])
-        # The prior of a change is in units of the change, whatever the gain.
-        prior = np.eye(lines - 1, design.shape[1], 1) / (gain * limit)
-        rows, right = np.vstack([design * weight[:, None], prior]), np.append(view.light * weight, np.zeros(lines - 1))
-        return np.asarray(np.linalg.lstsq(rows, right, rcond=None)[0]), design
+        seen = gaussian_filter(cut / top, blur, truncate=6.0)[view.v - low_v, view.u - low_u]
+        design = np.column_stack([seen, terms])
+        c = np.linalg.lstsq((design * weight[:, None])[part], (view.light * weight)[part], rcond=None)[0]
+        return np.asarray(c), design
 
     def misfit(blur: float) -> float:
         c, design = solve(blur)
-        return float((((view.light - design @ c) * weight)[view.inner] ** 2).sum())
+        return float((((view.light - design @ c) * weight)[part] ** 2).sum())
 
     blur = float(minimize_scalar(misfit, bounds=BLURS, method="bounded", options={"xatol": 5e-3}).x)
     c, design = solve(blur)
-    background = design[:, lines:] @ c[lines:]
     residual = view.light - design @ c
-    z = white(residual)
     return (
         PixelFit(
-            gain=float(c[0]),
+            gain=float(c[0]) / top,
             blur=blur,
-            changes=tuple(float(x / c[0]) for x in c[1:lines]),
-            z_std=float(np.sqrt(np.mean(z**2))),
-            coarse_std=float(np.sqrt(np.mean((blocks.T @ z) ** 2))),
-            model=_straight(view, design[:, :lines] @ c[:lines]),
+            z_std=float(np.sqrt(np.mean(whole(residual) ** 2))),
+            core_std=float(np.sqrt(np.mean(core(residual) ** 2))),
+            model=_straight(view, design[:, 0] * c[0]),
             z=_straight(view, residual * weight),
         ),
-        background,
+        design[:, 1:] @ c[1:],
     )
 
 
@@ -472,14 +346,8 @@ def _columns(view: _View) -> Array:
 
 
 def _straight(view: _View, values: Array) -> Array:
-    """Pixels on the straightened grid: mean of those that fall into each cell, nan where there are none."""
-    n = _columns(view)
-    row = np.round(view.t - view.band.t[0]).astype(int)
-    column = np.round(view.n - n[0]).astype(int)
-    inside = (column >= 0) & (column < len(n))
-    cell = row[inside] * len(n) + column[inside]
-    size = len(view.band.t) * len(n)
-    count = np.bincount(cell, minlength=size)
-    total = np.bincount(cell, values[inside], minlength=size)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return (total / count).reshape(len(view.band.t), len(n))
+    """Pixels on the straightened grid: the nearest one's value, nan where there is none within `NEAR`."""
+    t, n = np.meshgrid(view.band.t, _columns(view), indexing="ij")
+    tree = cKDTree(np.stack([view.t, view.n], axis=1))
+    _, nearest = tree.query(np.stack([t.ravel(), n.ravel()], axis=1), distance_upper_bound=NEAR)
+    return np.append(values, np.nan)[nearest].reshape(t.shape)

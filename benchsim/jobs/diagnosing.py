@@ -19,6 +19,7 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amend, effects, observables
 from benchsim.instruments.bench import problem as bench_problem
+from benchsim.instruments.bench.prediction import Predict
 from benchsim.jobs.output import default_folder, label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import Workers, workers
@@ -215,54 +216,62 @@ def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progres
     pictures.probability(folder / "probability.png", d, problem.catalogue, title)
     _draw_located(result, folder, pool, title)
     try:
-        draw_pixels(result, folder, progress)
+        return draw_pixels(result, folder, progress)
     except BenchsimError as error:
         # Unknown gammas or a missing back end cost this picture, not the diagnosis.
         return (str(error),)
-    return ()
 
 
-def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = silent) -> None:
+def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = silent) -> tuple[str, ...]:
     """Render every exposure again without and with what was found, and draw photograph less render.
 
-    With three settings or more each setting is rendered with effects and beam fitted to the others. A law's free
-    field is left out. Writes ``pixels.png`` and ``pixels.json``.
+    With it the most probable settings are the diagnosis' own, without it those of the null. Writes ``pixels.png`` and
+    ``pixels.json``; returns a sentence for every exposure that could not be compared.
     """
-    from benchsim.instruments.bench.probable import left_out, probable
+    from benchsim.instruments.bench.probable import probable, state
     from benchsim.jobs import comparing
     from benchsim.render import backend
 
     d, problem = result.diagnosis, result.problem
+    predict = problem.predict
+    assert isinstance(predict, Predict)
     progress("fitting settings for the renders", 0.8)
-    found = [f.name for f in d.effects] + list(amend.chosen(d))
     of_effects = {p.name for e in problem.catalogue for p in e.parameters}
-    bare = {k: v for k, v in d.values.items() if k not in of_effects}
-    count = len(problem.names)
-    several = len(set(problem.groups)) >= FEWEST_SETTINGS
-    if several:
-        after = left_out(problem, found, d.values)
-        before = left_out(problem, (), bare) if found else after
-    else:
-        after = [dict(d.values)] * count
-        before = [probable(problem, problem.nuisances, bare)] * count if found else after
+    values = dict(d.values)
+    bare = {k: v for k, v in values.items() if k not in of_effects}
+    amended = predict
+    if d.law is not None:
+        amended = replace(predict, recording=replace(predict.recording, fields=result.amended.fields), cache={})
+        lawful = replace(problem, predict=amended)
+        values = probable(lawful, problem.nuisances, values, setting_scale=d.setting_scale)
+    blocks = range(len(problem.names))
+    after = [state(amended, b, values) for b in blocks]
+    before = after
+    if d.law is not None or values.keys() & of_effects:
+        null = probable(problem, problem.nuisances, bare, setting_scale=d.setting_scale)
+        before = [state(predict, b, null) for b in blocks]
     backend.use(None)
     compared = comparing.compare(
-        result.recording, problem, before, after, progress=lambda what, done: progress(what, 0.82 + 0.17 * done)
+        result.recording,
+        [b.observed for b in predict.blocks],
+        before,
+        after,
+        progress=lambda what, done: progress(what, 0.82 + 0.17 * done),
     )
     rows = [
         {"exposure": x.name, "pixels": x.pixels, "before": x.before.z_std, "after": x.after.z_std}
         for x in compared.exposures
     ]
     pooled = {which: compared.pooled(which) for which in ("before", "after")}
-    plain = {"left_out": several, "exposures": rows, "pooled": pooled, "lost": list(compared.lost)}
+    plain = {"exposures": rows, "pooled": pooled, "lost": list(compared.lost)}
     write_text(folder / "pixels.json", json.dumps(plain, indent=1) + "\n")
-    how = "each setting rendered with what the others say" if several else "settings fitted"
     comparing.draw(
         compared,
         folder / "pixels.png",
-        f"{label(result.recording)}: photographs less their renders, {how}; all pixels together "
+        f"{label(result.recording)}: photographs less their renders, settings fitted; all pixels together "
         f"{pooled['before']:.2f} → {pooled['after']:.2f} sigma",
     )
+    return compared.lost
 
 
 def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: str) -> None:

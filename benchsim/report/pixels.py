@@ -14,6 +14,9 @@ from benchsim.report.pictures import _save
 
 Array = NDArray[np.float64]
 
+PER_PAGE = 6
+"""Exposures in one picture; more go to further ones."""
+
 REACH = 5.0
 """z at the ends of the colour scale."""
 
@@ -36,17 +39,31 @@ class Strip:
     caption: str
 
 
-def strips(path: Path, exposures: Sequence[Strip], title: str) -> None:
+def strips(path: Path, exposures: Sequence[Strip], title: str) -> list[Path]:
     """Four strips for each exposure: photograph, render with what was found, residual before and after as z.
 
     Parameters
     ----------
     path : Path
-        PNG to write.
+        PNG to write; ``NAME-2.png`` … beside it for every further six exposures.
     exposures : sequence of Strip
         At least one.
     title : str
+
+    Returns
+    -------
+    list of Path
+        Written.
     """
+    pages = [exposures[i : i + PER_PAGE] for i in range(0, len(exposures), PER_PAGE)]
+    out = []
+    for number, page in enumerate(pages, 1):
+        out.append(path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}"))
+        _page(out[-1], page, title if len(pages) == 1 else f"{title} ({number} of {len(pages)})")
+    return out
+
+
+def _page(path: Path, exposures: Sequence[Strip], title: str) -> None:
     figure = Figure(figsize=(11.0, 2.5 * len(exposures) + 0.9), layout="constrained")
     grid = figure.subplots(4 * len(exposures), 1, squeeze=False)[:, 0]
     colour = None

@@ -43,7 +43,7 @@ def bowed(problem, progress=None):
 @pytest.fixture
 def quick(monkeypatch):
     monkeypatch.setattr(diagnosing.diagnosis, "diagnose", bowed)
-    monkeypatch.setattr(diagnosing, "draw_pixels", lambda *_: None)
+    monkeypatch.setattr(diagnosing, "draw_pixels", lambda *_: ())
 
 
 def edit(folder, old, new):
