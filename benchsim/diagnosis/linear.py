@@ -147,24 +147,34 @@ def columns(
         Step of value**power by name; default 5 % of sigma**power, which is far below the scale on which the
         prediction bends and far above its rounding.
     """
-    tasks: list[tuple[int, int, float, float]] = []
+    return columns_at(problem, [(at, parameters)], steps)[0]
+
+
+def columns_at(
+    problem: Problem,
+    points: Sequence[tuple[Values, Sequence[Parameter]]],
+    steps: Mapping[str, float] | None = None,
+) -> list[Array]:
+    """`columns` at several points, each with parameters of its own; all predictions are asked for at once."""
+    tasks: list[tuple[int, int, int, float, float]] = []
     values: list[dict[str, float]] = []
     blocks: list[int] = []
-    for k, p in enumerate(parameters):
-        middle = fit_value(p, at.get(p.name, 0.0))
-        step = (steps or {}).get(p.name, 0.05 * p.sigma**p.power)
-        # A quantity that exists only where it is ≥ 0 is differentiated to the right of 0.
-        ends = (middle - step, middle + step)
-        if (p.one_sided or p.power > 1) and ends[0] < 0:
-            ends = (0.0, 2 * step)
-        for b in range(len(problem.names)) if p.blocks is None else p.blocks:
-            for end, sign in zip(ends, (-1.0, 1.0), strict=True):
-                values.append({**at, p.name: end ** (1.0 / p.power) if p.power > 1 else end})
-                blocks.append(b)
-                tasks.append((k, b, sign, ends[1] - ends[0]))
-    out = np.zeros((len(problem.data), len(parameters)))
-    for (k, b, sign, width), predicted in zip(tasks, predictions(problem, values, blocks), strict=True):
-        out[problem.rows(b), k] += sign * np.asarray(predicted) / width
+    for i, (at, parameters) in enumerate(points):
+        for k, p in enumerate(parameters):
+            middle = fit_value(p, at.get(p.name, 0.0))
+            step = (steps or {}).get(p.name, 0.05 * p.sigma**p.power)
+            # A quantity that exists only where it is ≥ 0 is differentiated to the right of 0.
+            ends = (middle - step, middle + step)
+            if (p.one_sided or p.power > 1) and ends[0] < 0:
+                ends = (0.0, 2 * step)
+            for b in range(len(problem.names)) if p.blocks is None else p.blocks:
+                for end, sign in zip(ends, (-1.0, 1.0), strict=True):
+                    values.append({**at, p.name: end ** (1.0 / p.power) if p.power > 1 else end})
+                    blocks.append(b)
+                    tasks.append((i, k, b, sign, ends[1] - ends[0]))
+    out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
+    for (i, k, b, sign, width), predicted in zip(tasks, predictions(problem, values, blocks), strict=True):
+        out[i][problem.rows(b), k] += sign * np.asarray(predicted) / width
     return out
 
 

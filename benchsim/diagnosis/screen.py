@@ -74,7 +74,6 @@ def expand(problem: Problem, at: Values) -> Catalogue:
             nodes[effect.name] = (Node({}, tuple(range(len(plain), len(plain) + len(own))), 0.0),)
             plain.extend(own)
     at = {**at, **{n: v for e in problem.catalogue for n, v in evidence.fixed(e).items()}}
-    parts = [linear.columns(problem, at, tuple(plain))]
     count = len(plain)
     for effect in problem.catalogue:
         shape = evidence.shapes(effect)
@@ -89,7 +88,8 @@ def expand(problem: Problem, at: Values) -> Catalogue:
             later.append((values, own))
             count += len(own)
         nodes[effect.name] = tuple(found)
-    parts += [linear.columns(problem, {**at, **values}, own) for values, own in later]
+    points = [(at, tuple(plain)), *(({**at, **values}, own) for values, own in later)]
+    parts = linear.columns_at(problem, points)
     return Catalogue({e.name: e for e in problem.catalogue}, nodes, np.column_stack(parts))
 
 

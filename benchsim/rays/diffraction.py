@@ -63,8 +63,8 @@ def fresnel_profile(nodes: Profiles, wavelength: float, height: float, q: Array)
         Light per mm² of the board; its integral over all q is the flux.
     """
     half = height / 2
-    reach = float(np.max(np.abs(q), initial=0.0))
-    chirp, fine, still = _still(nodes, wavelength, height, rule_needed(nodes, wavelength, height, reach))
+    rule = int(rule_needed(nodes, wavelength, height, q)[0])
+    chirp, fine, still = _still(nodes, wavelength, height, rule)
     out = np.empty(q.shape)
     some = max(1, LARGEST // max(1, q.shape[1] * len(fine)))
     for i in range(0, len(q), some):
@@ -120,13 +120,18 @@ def even_profile(
     return np.asarray((np.abs(chirp[:, None]) / (2 * np.pi)) * light)
 
 
-def rule_needed(nodes: Profiles, wavelength: float, height: float, reach: float) -> int:
-    """Nodes over the height that the integral needs at offsets up to ``reach`` [mm] from the curve."""
-    chirp = _chirp(nodes, wavelength)
+def rule_needed(nodes: Profiles, wavelength: float, height: float, reach: Array, benches: int = 1) -> NDArray[np.intp]:
+    """Nodes over the height that the integral needs at offsets up to ``reach`` (profile,) [mm] from the curve.
+
+    The profiles are those of one bench after another, as many of each; one number for each, (bench,).
+    """
+
+    def most(values: Array) -> Array:
+        return np.asarray(np.abs(values).reshape(benches, -1).max(axis=1))
+
     # |Φ'| H/2 radians over half the rule's interval need about half as many nodes, and some to converge.
-    far = reach + float(np.max(np.abs(nodes.q), initial=0.0))
-    need = 16 + int(0.3 * height * np.max(np.abs(chirp)) * far)
-    return 8 * (need // 8 + 1)
+    need = 16 + 0.3 * height * most(_chirp(nodes, wavelength)) * (most(reach) + most(nodes.q))
+    return 8 * (need.astype(np.intp) // 8 + 1)
 
 
 def _chirp(nodes: Profiles, wavelength: float) -> Array:

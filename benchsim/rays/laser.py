@@ -142,8 +142,11 @@ def outer(scalars: Array, vector: Array) -> Array:
     """
     if vector.ndim == 1:
         return components_last(np.multiply.outer(vector, scalars))
-    parts = [scalars * vector[..., k] for k in range(vector.shape[-1])]
-    return components_last(np.stack(parts))
+    shape = np.broadcast_shapes(np.shape(scalars), vector.shape[:-1])
+    out = np.empty((vector.shape[-1], *shape))
+    for k, part in enumerate(out):
+        np.multiply(scalars, vector[..., k], out=part)
+    return components_last(out)
 
 
 def components_last(stack: Array) -> Array:
@@ -153,8 +156,10 @@ def components_last(stack: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """Vector product of single vectors or stacks, without the checks that make NumPy's slow for them."""
-    single = a.ndim == b.ndim == 1
-    (ax, ay, az), (bx, by, bz) = (v.tolist() if single else np.moveaxis(v, -1, 0) for v in (a, b))
+    if a.ndim == b.ndim == 1:
+        (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+        return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+    (ax, ay, az), (bx, by, bz) = ((v[..., 0], v[..., 1], v[..., 2]) for v in (a, b))
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 

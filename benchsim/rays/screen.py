@@ -55,7 +55,9 @@ class BoardEffects:
         return not some(self.distance, *self.slope, *self.bow) and self.height is None
 
     def slopes(self, y: Array, z: Array) -> tuple[Array, Array]:
-        """Slopes of the surface without its field, along y and z."""
+        """Slopes of the surface without its field, along y and z; plain numbers where it is not bent."""
+        if not some(*self.bow):
+            return np.asarray(self.slope[0]), np.asarray(self.slope[1])
         return self.slope[0] + self.bow[0] * y, self.slope[1] + self.bow[1] * z
 
 
@@ -112,8 +114,10 @@ def meet(placement: Placement, x: Array, direction: Array, surface: BoardEffects
         s = -height / falling
         if surface is not None and not surface.flat:
             s = _on_surface(surface, s, (height, y0, z0), (falling, to_y, to_z))
-        y, z = y0 + s * to_y, z0 + s * to_z
-    return components_last(np.stack([y, z])), s
+        board = np.empty((2, *s.shape))
+        np.add(y0, s * to_y, out=board[0])
+        np.add(z0, s * to_z, out=board[1])
+    return components_last(board), s
 
 
 def _on_surface(

@@ -21,7 +21,7 @@ from benchsim.bench.curve import Curve
 from benchsim.rays.laser import some
 from benchsim.rays.phases import axis_points
 from benchsim.rays.profile import Profiles, interpolation
-from benchsim.rays.sweep import Bench, cuts, facet_nodes, mixed, nodes_needed
+from benchsim.rays.sweep import LAST_STEP, Bench, cuts, facet_nodes, mixed, nodes_needed
 from benchsim.rays.width import adaptive_widths, between, few_of
 
 Array = NDArray[np.float64]
@@ -38,10 +38,10 @@ class Rule(NamedTuple):
 RULES = (Rule(14, 6, 4), Rule(32, 9, 5))
 """Tried in turn: setting errors and most effects need the first, plumes and aberrated beams the second."""
 
-TAIL = 1e-8
+TAIL = 1e-7
 """Largest of the last two coefficients along the trace [mm; of ln flux 1] that counts as resolved."""
 
-NODE_TAIL = 1e-6
+NODE_TAIL = 1e-5
 """The same over the facet's width and height [mm]: the mean over the beam hardly feels it."""
 
 FAINT = 1e-9
@@ -108,7 +108,9 @@ def _curves(bench: Bench, phase: Array, rule: Rule, width: bool) -> Smooth:
     for h in (1, along):
         step = slope @ points
         tangent = step / np.sqrt((step**2).sum(axis=-1, keepdims=True))
-        raw = cuts(bench, points, tangent, start, across, h, kicks=width and h > 1)
+        # The first round only finds where to cut.
+        last = 1e-4 if h == 1 else LAST_STEP
+        raw = cuts(bench, points, tangent, start, across, h, kicks=width and h > 1, last_step=last)
 
         def finer(nodes: Profiles) -> Profiles:
             return _finer(bench, nodes, need)

@@ -273,6 +273,7 @@ def cuts(
     lean: Array | float = 0.0,
     front: bool = False,
     kicks: bool = True,
+    last_step: float = LAST_STEP,
 ) -> Profiles:
     """Profiles of the trace along straight lines on the board, of one lean of the facets.
 
@@ -292,6 +293,8 @@ def cuts(
         Light off the front of the mirror's glass.
     kicks : bool
         Whether `Profiles.lateral` and `Profiles.chirp` are wanted; 0 otherwise.
+    last_step : float
+        Newton's method ends after a step this small [rad].
 
     Returns
     -------
@@ -324,7 +327,7 @@ def cuts(
             e += np.clip(step, -0.05, 0.05)
             last = float(np.fmax.reduce(np.abs(step).ravel(), initial=0.0))
             # The last bit is corrected to first order below.
-            if not last > LAST_STEP:
+            if not last > last_step:
                 break
         light, power = ray(e + steps, True)
         f = ahead(light)

@@ -55,15 +55,14 @@ def adaptive_widths(bench: Bench, some: Profiles, which: NDArray[np.bool_] | Non
     )
     some = some.only(which)
     out = np.empty(some.q.shape[:2])
+    sizes = np.zeros((len(out), 2), int)
     if bench.physics.diffraction:
-        sizes = np.stack([_sizes(bench, some, k, blur, shake) for k in range(len(out))])
-    else:
-        sizes = np.zeros((len(out), 1), int)
+        sizes = _grids(bench, _joined(some), *_window(bench, _joined(some), blur.ravel(), shake.ravel()), len(out))
     # A bench's answer must not depend on its company, so only those of the same grids go together.
     for size in np.unique(sizes, axis=0):
         mine = (sizes == size).all(axis=1)
         flat = _joined(some.only(mine))
-        out[mine] = _of_profiles(bench, flat, blur[mine].ravel(), shake[mine].ravel()).reshape(-1, count)
+        out[mine] = _of_profiles(bench, flat, blur[mine].ravel(), shake[mine].ravel(), size).reshape(-1, count)
     return out
 
 
@@ -74,27 +73,33 @@ def _joined(several: Profiles) -> Profiles:
     return Profiles(q, weight, phase, lateral, chirp, shift, share)
 
 
-def _sizes(bench: Bench, some: Profiles, k: int, blur: Array, shake: Array) -> Array:
-    mine = some.only(slice(k, k + 1))
-    _, _, count, rule = _window(bench, _joined(mine), blur[k], shake[k])
-    return np.array([count, rule])
-
-
-def _window(bench: Bench, some: Profiles, blur: Array, shake: Array) -> tuple[Array, Array, int, int]:
-    """Spread of the light by blur (profile,), half width of the grid (profile,), its half count, nodes of the slit."""
+def _window(bench: Bench, some: Profiles, blur: Array, shake: Array) -> tuple[Array, Array, Array]:
+    """Spread of the light by blur, half width of the grid, and that per slit scale, (profile,) each."""
     geometric, slit = scales(some, bench.laser.wavelength, bench.mirror.height)
     sigma = np.hypot(blur * some.lateral.max(axis=(1, 2)), shake)
     apart = np.zeros(len(some.q)) if some.shift is None else np.ptp(some.shift, axis=1)
     reach = 2 * geometric + 5 * slit + 6 * sigma + apart
+    return sigma, reach, reach / slit
+
+
+def _grids(
+    bench: Bench, some: Profiles, sigma: Array, reach: Array, slits: Array, benches: int = 1
+) -> NDArray[np.intp]:
+    """Half the count of the grid over q, and the count of nodes over the height, (bench, 2)."""
     # Two samples per slit scale: the pattern times the weight is band-limited, so the sums converge exponentially.
-    count = 4 * int(np.ceil(np.max(2 * reach / slit) / 4))
-    return sigma, reach, count, rule_needed(some, bench.laser.wavelength, bench.mirror.height, float(reach.max()))
+    count = 4 * np.ceil(slits.reshape(benches, -1).max(axis=1) / 2)
+    rule = rule_needed(some, bench.laser.wavelength, bench.mirror.height, reach, benches)
+    return np.stack([count.astype(np.intp), rule], axis=1)
 
 
-def _of_profiles(bench: Bench, some: Profiles, blur: Array, shake: Array) -> Array:
+def _of_profiles(
+    bench: Bench, some: Profiles, blur: Array, shake: Array, size: NDArray[np.intp] | None = None
+) -> Array:
+    """Widths of profiles of one grid's ``size``; default what they need."""
     mean = some.mean(some.q)
     if bench.physics.diffraction:
-        sigma, reach, count, rule = _window(bench, some, blur, shake)
+        sigma, reach, slits = _window(bench, some, blur, shake)
+        count, rule = (_grids(bench, some, sigma, reach, slits)[0] if size is None else size).tolist()
         spread = sigma[:, None]
         q = mean[:, None] + reach[:, None] * (np.arange(-count, count + 1) / count)
         light = even_profile(some, bench.laser.wavelength, bench.mirror.height, mean, reach, count, rule)

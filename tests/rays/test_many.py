@@ -1,0 +1,159 @@
+"""Many predictions at once against single ones, and traces from few rays against dense nodes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchsim.bench.curve import Curve, signed_distance
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.fields import field
+from benchsim.bench.model import Physics
+from benchsim.bench.settings import from_vector
+from benchsim.rays import curve, predict, predict_many, prediction
+from benchsim.rays.curve import beam_profiles, trace
+from benchsim.rays.phases import many_phases, sample_phases
+from benchsim.rays.prediction import bench_of
+from benchsim.rays.stack import alike, groups, stacked
+
+PRIOR = np.array([1.0] * 3 + [1.745e-3] * 4 + [0.2] * 3 + [1e-3] * 3)
+NONE = (0.0, 0.0, 0.0)
+CAPS = {
+    "pivot-offset": {"dr": 5.0},
+    "canting": {"pyr": 10.0},
+    "facet-tilts": {"tilt_rms": 1.5},
+    "axis-wobble": {"wob_c": 2.0, "wob_s": -1.0},
+    "axis-tilt": {"ped_x": 5.0, "ped_y": -5.0},
+    "azimuth-offset": {"az_enc": 5.0},
+    "second-surface": {"glass": 3.0},
+    "facet-curvature": {"fcurv": 0.2},
+    "beam-direction": {"saz": 5.0, "sel": 5.0},
+    "beam-offset": {"bu": 1.5, "bv": -0.5},
+    "wavefront-curvature": {"curv": 0.4},
+    "astigmatism": {"astig0": 0.2, "astig45": -0.2},
+    "coma": {"coma_u": 0.05, "coma_v": 0.05},
+    "window": {"win": 10.0},
+    "window-tilt": {"wty": 20.0, "wtz": -10.0},
+    "air-gradient": {"air": 200.0, "airh": -200.0},
+    "plume": {"plume": 2.0, "plume_y": 10.0, "plume_z": -700.0},
+    "screen-distance": {"sx": 20.0},
+    "screen-tilt": {"st_y": 20.0, "st_z": -20.0},
+    "screen-bow": {"bow_y": 0.2, "bow_z": -0.1},
+    "screen-rotation": {"srot": 20.0},
+    "drift": {"dry": 1.0, "drz": -1.0},
+    "vibration": {"amp": 0.7},
+}
+
+
+def equal(single, many):
+    """To 1e-9 mm, and as exactly in flux and phase."""
+    assert np.abs(single.points - many.points).max() < 1e-9
+    assert np.abs(single.width - many.width).max() < 1e-9
+    np.testing.assert_allclose(many.flux, single.flux, rtol=1e-9)
+    np.testing.assert_allclose(many.phase, single.phase, atol=1e-11)
+
+
+def cases_of(lab, seed, physics=None, exposure=None, names=tuple(CAPS)):
+    """Every effect twice and none ten times, each with its own setting errors; some with a shape and another laser."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for effects in [{}] * 10 + [{n: CAPS[n]} for n in names for _ in range(2)]:
+        scale = float(rng.uniform(0.05, 1.0))
+        table = {n: {k: scale * v for k, v in t.items()} for n, t in effects.items()}
+        recording = lab.bench(table, physics=physics)
+        if rng.random() < 0.3:
+            recording = replace(recording, laser=replace(recording.laser, beam_diameter=9.8, divergence=4.2e-3))
+        shape = (0.02, 0.05, -0.03) if rng.random() < 0.3 else NONE
+        out.append((recording, exposure or lab.exposure, from_vector(PRIOR * rng.normal(size=13)), shape))
+    return out
+
+
+@pytest.mark.parametrize("physics", [Physics(), Physics(True, True, False), Physics(False, True, True)])
+def test_many_equal_single_ones_with_every_effect(lab, physics, monkeypatch):
+    cases = cases_of(lab, 11, physics)
+    alone = []
+    for module in (curve, prediction):
+        monkeypatch.setattr(module, "_or_none", _counted(module._or_none, alone))
+    found = predict_many(cases, 32)
+    # The second surfaces; what is worked out alone would be equal in any case.
+    assert len(alone) == 2
+    for case, many in zip(cases, found, strict=True):
+        equal(predict(*case[:3], 32, shape=case[3]), many)
+
+
+def _counted(function, calls):
+    def counting(bench, *a, **k):
+        calls.append(bench)
+        return function(bench, *a, **k)
+
+    return counting
+
+
+def test_what_cannot_be_stacked_is_worked_out_alone(lab):
+    """Single rays, mixtures of physics, free fields and gated exposures among plain cases."""
+    rng = np.random.default_rng(2)
+    heights = field([np.linspace(-350, 350, 5)] * 2, 0.2 * rng.normal(size=(1, 5, 5)))
+    gated = replace(lab.exposure, facet=3)
+    tilted = lab.bench({"axis-wobble": {"wob_c": 1.0}})
+    cases = [
+        (lab.recording, lab.exposure, lab.off, NONE),
+        (lab.bench(physics=lab.pencil), lab.exposure, lab.off, NONE),
+        (lab.bench({"diffraction": {"fresnel": 0.4}}, physics=lab.geometric), lab.exposure, lab.off, NONE),
+        (lab.bench(fields={"height": heights}), lab.exposure, lab.off, NONE),
+        (tilted, gated, lab.off, NONE),
+        (tilted, gated, None, NONE),
+        (lab.recording, lab.exposure, None, NONE),
+    ]
+    for case, many in zip(cases, predict_many(cases, 24), strict=True):
+        equal(predict(*case[:3], 24), many)
+
+
+def test_light_beside_the_board_is_none_and_leaves_the_others_alone(lab):
+    far = from_vector(np.array([0.0] * 5 + [0.9, 0.9] + [0.0] * 6))
+    below = from_vector(np.array([0.0] * 6 + [-1.5] + [0.0] * 6))
+    cases = [(lab.recording, lab.exposure, e, NONE) for e in (lab.off, far, None, below)]
+    found = predict_many(cases, 24, width=False)
+    for bad in (1, 3):
+        with pytest.raises(BenchsimError):
+            predict(*cases[bad][:3], 24)
+        assert found[bad] is None
+    for good in (0, 2):
+        assert np.abs(found[good].points - predict(*cases[good][:3], 24).points).max() < 1e-9
+        assert found[good].width is None
+
+
+def test_effects_that_do_not_exist_are_refused(lab):
+    with pytest.raises(BenchsimError, match="no such effect"):
+        predict_many([(lab.bench({"gremlins": {"n": 1.0}}), lab.exposure, None, NONE)] * 2)
+
+
+def test_groups_hold_every_case_once_and_only_what_is_alike(lab):
+    benches = [bench_of(*case) for case in cases_of(lab, 5)]
+    found = groups(benches, 7)
+    assert sorted(i for g in found for i in g) == list(range(len(benches)))
+    for group in found:
+        assert len(group) <= 7 and len({alike(benches[i]) for i in group}) == 1
+        assert len(group) == 1 or alike(benches[group[0]]) is not None
+
+
+def test_phases_of_a_stack_are_those_of_its_members(lab):
+    benches = [bench_of(lab.recording, lab.exposure, c[2]) for c in cases_of(lab, 8)[:6]]
+    expected = np.stack([sample_phases(b, 20) for b in benches])
+    np.testing.assert_allclose(many_phases(stacked(benches), benches, 20), expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", [None, *CAPS])
+def test_few_rays_say_what_dense_nodes_say(lab, name):
+    """Traces by polynomials against `beam_profiles`, which assumes nothing of the kind, on disturbed settings."""
+    rng = np.random.default_rng(3)
+    if name == "second-surface":
+        pytest.skip("its prediction is pulled by the ghost, which the dense nodes do not have")
+    for _ in range(2):
+        errors = from_vector(PRIOR * rng.normal(size=13))
+        bench = bench_of(lab.bench({name: CAPS[name]} if name else {}), lab.exposure, errors)
+        few = trace(bench, 48)
+        points, _, nodes = beam_profiles(bench, sample_phases(bench, 48))
+        dense = Curve(points)
+        distance, s = signed_distance(dense, few.points)
+        assert np.abs(distance).max() < 2e-6
+        assert np.abs(np.interp(s, dense.arc_length(), nodes.flux) / few.flux - 1)[1:-1].max() < 2e-6
