@@ -1,9 +1,10 @@
-"""What a prediction of the ray model costs and how exact it is: with and without widths, and with each effect.
+"""What a prediction of the ray model costs and how exact it is: alone and in lists, with and without widths.
 
     python analysis/rays_speed.py [--seed 0] [--rounds 8]
 
-The diagnosis predicts each exposure with 24 samples, some ten thousand times. Times are CPU time, the best of the
-rounds, all of one run; compare the ratios, the milliseconds depend on the machine. Accuracy is against 96 samples.
+The diagnosis predicts each exposure some ten thousand times, most of them in lists of slightly different values
+(`rays.predict_many`, `Predict.many`). Times are CPU time of one thread, the best of the rounds, all of one run; compare
+the ratios, the milliseconds depend on the machine. Accuracy is against 96 samples.
 """
 
 from __future__ import annotations
@@ -16,12 +17,15 @@ from pathlib import Path
 
 import numpy as np
 
-from benchsim.bench.curve import signed_distance
+from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.fields import field
 from benchsim.bench.files import read
 from benchsim.bench.model import Recording
 from benchsim.bench.settings import from_vector
-from benchsim.rays import predict
+from benchsim.instruments.bench import observables
+from benchsim.instruments.bench.prediction import SAMPLES, Predict
+from benchsim.instruments.bench.problem import build
+from benchsim.rays import predict, predict_many
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 PRIOR = np.array([1.0] * 3 + [1.745e-3] * 4 + [0.2] * 3 + [1e-3] * 3)
@@ -41,14 +45,14 @@ EFFECTS: dict[str, dict[str, float]] = {
 }
 
 
-def cost(work: Callable[[], object], rounds: int) -> float:
+def cost(work: Callable[[], object], rounds: int, calls: int = 5) -> float:
     """CPU time of one call [ms], the best of the rounds."""
     best = np.inf
     for _ in range(rounds):
         start = time.process_time()
-        for _ in range(5):
+        for _ in range(calls):
             work()
-        best = min(best, (time.process_time() - start) / 5)
+        best = min(best, (time.process_time() - start) / calls)
     return 1e3 * float(best)
 
 
@@ -77,6 +81,55 @@ def accuracy(recording: Recording, seed: int, draws: int = 10) -> tuple[float, f
     return float(worst[0]), float(worst[1])
 
 
+def together(recording: Recording, seed: int, rounds: int) -> None:
+    """Print what predictions of many setting errors cost, one by one and together, and how far they differ."""
+    rng = np.random.default_rng(seed)
+    exposure, none = recording.exposures[0], (0.0, 0.0, 0.0)
+    cases = [(recording, exposure, from_vector(PRIOR * rng.normal(size=13)), none) for _ in range(48)]
+    for width in (False, True):
+
+        def alone(width: bool = width) -> list[Curve]:
+            return [predict(r, e, errors, SAMPLES, width=width) for r, e, errors, _ in cases]
+
+        one = cost(alone, rounds, 1) / len(cases)
+
+        def listed(width: bool = width) -> list[Curve | None]:
+            return predict_many(cases, SAMPLES, width=width)
+
+        many = cost(listed, rounds, 1) / len(cases)
+        pairs = zip(alone(), listed(), strict=True)
+        apart = max(float(np.abs(a.points - b.points).max()) for a, b in pairs if b is not None)
+        what = f"{len(cases)} settings, {'with' if width else 'without'} width"
+        print(f"{what}: alone {one:.2f} ms, together {many:.2f} ms each, ratio {one / many:.1f}; apart {apart:.0e} mm")
+
+
+def columns(seed: int, rounds: int) -> None:
+    """Print what the predictions of a block's derivatives cost, one by one and as a list: nuisances, then all."""
+    recording = read(SCENES / "campaign12.toml", images=False)
+    recording = replace(recording, exposures=recording.exposures[:2])
+    problem = build(recording, observables.simulate(recording, seed=seed), attached=False)
+    predicted = problem.predict
+    assert isinstance(predicted, Predict)
+    here = {n.name: 0.3 * n.sigma for n in problem.nuisances}
+    amplitudes = [p for e in problem.catalogue for p in e.parameters if not p.grid]
+    for what, parameters in (("nuisances", problem.nuisances), ("and catalogue", (*problem.nuisances, *amplitudes))):
+        mine = [p for p in parameters if p.blocks is None or 0 in p.blocks]
+        ends = [(p, s) for p in mine for s in ((0.0, 1.0) if p.one_sided else (-1.0, 1.0))]
+        values = [{**here, p.name: here.get(p.name, 0.0) + s * 0.05 * p.sigma} for p, s in ends]
+
+        def alone(values: list[dict[str, float]] = values) -> None:
+            for v in values:
+                predicted(v, 0)
+                predicted.cache.clear()
+
+        def listed(values: list[dict[str, float]] = values) -> None:
+            predicted.cache.clear()
+            predicted.many(values, 0)
+
+        one, many = (cost(work, rounds, 1) / len(values) for work in (alone, listed))
+        print(f"{len(values)} columns' ends, {what}: alone {one:.2f} ms, listed {many:.2f} ms, ratio {one / many:.1f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
@@ -87,6 +140,8 @@ def main() -> None:
         centre, width = accuracy(recording, args.seed)
         print(f"{name}: 24 samples against 96: centre {centre:.1e} mm, width {width:.1e} mm")
     plain = recordings["fig7a"]
+    together(plain, args.seed, args.rounds)
+    columns(args.seed, args.rounds)
     exposure = plain.exposures[0]
 
     def both(recording: Recording) -> tuple[float, float]:

@@ -4,6 +4,9 @@
 declares its own effects, which `effects` gathers. `sweep` joins them at one phase and gives the profiles of the
 time-averaged trace, `diffraction`, `profile` and `width` what they look like, `curve` the trace of a bench and
 `prediction` that of a recording's exposure.
+
+Predictions are asked for by the thousand. `smooth` therefore traces few rays where nothing has kinks, and `stack` makes
+one bench of many whose numbers are arrays, so that the elements' own formulas work out all of them in one pass.
 """
 
 from benchsim.rays.camera import board_points, pixel_rays, project, project_board, see

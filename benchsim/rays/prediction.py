@@ -25,7 +25,7 @@ from benchsim.rays.width import widths
 Array = NDArray[np.float64]
 Shape = tuple[float, float, float]
 
-TOGETHER = 24
+TOGETHER = 16
 """Most cases worked out together: beyond, the arrays outgrow a processor's cache and nothing more is gained."""
 
 

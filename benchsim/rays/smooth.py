@@ -35,8 +35,8 @@ class Rule(NamedTuple):
     along: int
 
 
-RULES = (Rule(14, 6, 4), Rule(32, 9, 5))
-"""Tried in turn: setting errors and most effects need the first, plumes and aberrated beams the second."""
+RULES = (Rule(14, 6, 4), Rule(32, 6, 4), Rule(32, 9, 5))
+"""Tried in turn: setting errors and most effects need the first, plumes the second, beams of much coma the third."""
 
 TAIL = 1e-7
 """Largest of the last two coefficients along the trace [mm; of ln flux 1] that counts as resolved."""

@@ -2,6 +2,7 @@
 
 A frozen object of plain data, so that worker processes can be handed it. The light's part (`rays.predict`) is kept
 for the last values of what bears on the light: parameters of camera, print and detector are then nearly free.
+Lists of values of one block (`Predict.many`) are worked out together.
 """
 
 from __future__ import annotations
