@@ -12,12 +12,12 @@ from scipy.ndimage import binary_erosion, gaussian_filter, maximum_filter
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
-from benchsim import rays
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
 from benchsim.instruments.bench.observed import Observed
 from benchsim.instruments.bench.probable import State
 from benchsim.jobs.progress import Progress, silent
+from benchsim.rays import project
 from benchsim.trace.band import Band, band_along, smooth_curve
 from benchsim.trace.extract import read_photographs
 from benchsim.trace.speckle import Grain, Whitener, measure_grain, whitener
@@ -38,9 +38,10 @@ BLURS = (0.2, 3.0)
 NEAR = 1.0
 """Farthest pixel that a cell of the straightened grid shows [px]."""
 
-RELATIVE_ERROR = 0.02
-"""Of the light that is rendered again, per bin of 0.25 mm. A pixel sees some sixteen of them and has three hundredths of
-speckle: a quarter of this error changes no z by 0.01."""
+RAYS = 1 << 25
+"""Of a render, 2 s of CPU. A bin of 0.25 mm is then good to some 0.005, a pixel that sees sixteen to 0.002, where a
+photograph has 0.005 or more. A fixed number, since what adds dimensions to the light (shaking, facets that differ)
+makes a wanted error cost minutes."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def compare(
     after: Sequence[State],
     *,
     seed: int = 0,
-    relative_error: float = RELATIVE_ERROR,
+    rays: int = RAYS,
     progress: Progress = silent,
 ) -> Comparison:
     """Render exposures before and after, and hold them against their photographs.
@@ -138,8 +139,8 @@ def compare(
         One for each; where both are the same object there is one render.
     seed : int
         Of the light's rays.
-    relative_error : float
-        Of the light that is rendered, see `render.irradiance`.
+    rays : int
+        For each render, see `render.irradiance`.
     progress : callable
 
     Returns
@@ -156,7 +157,7 @@ def compare(
     def show(s: State, exposure: Exposure) -> tuple[Image, Image]:
         picture = expected(
             s.recording, exposure, s.camera, s.rotation, s.translation, s.errors,
-            shape=s.shape, seed=seed, relative_error=relative_error,
+            shape=s.shape, seed=seed, rays=rays,
         )  # fmt: skip
         return picture.laser, picture.room
 
@@ -267,7 +268,7 @@ def _view(recording: Recording, exposure: Exposure, observed: Observed, free: Ma
         pedestal = 2 * gaussian_filter(np.maximum(dark.light, 0).astype(float), 3.0)
     seen = observed.view
     on_board = np.column_stack([np.zeros(len(observed.points)), observed.points])
-    uv = rays.project(seen.camera, seen.rotation, seen.translation, on_board)
+    uv = project(seen.camera, seen.rotation, seen.translation, on_board)
     t = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(uv, axis=0), axis=1))])
     span = (0.0, float(t[-1]))
     curve = smooth_curve(t, uv, np.ones(len(t)), span)

@@ -63,12 +63,12 @@ def lit(
     *,
     shape: tuple[float, float, float] = (0.0, 0.0, 0.0),
     seed: int = 0,
-    relative_error: float | None = None,
+    rays: int | None = None,
 ) -> ScreenMap:
     """Irradiance on the board with setting errors and a beam that is not quite Gaussian; see `expected`."""
     placement = place(recording.mirror, exposure, errors)
     lenses = shaped(shape, placement.laser_direction, placement.axis) if any(shape) else None
-    return irradiance(recording, exposure, placement=placement, seed=seed, relative_error=relative_error, lenses=lenses)
+    return irradiance(recording, exposure, placement=placement, seed=seed, rays=rays, lenses=lenses)
 
 
 def expected(
@@ -81,7 +81,7 @@ def expected(
     *,
     shape: tuple[float, float, float] = (0.0, 0.0, 0.0),
     seed: int = 0,
-    relative_error: float | None = None,
+    rays: int | None = None,
     light: ScreenMap | None = None,
 ) -> Picture:
     """What the camera would see of an exposure, by this realisation of the bench.
@@ -102,8 +102,8 @@ def expected(
         Of the beam, see `shaped`.
     seed : int
         Of the light's rays.
-    relative_error : float, optional
-        Of the irradiance, as in `irradiance`.
+    rays : int, optional
+        As in `irradiance`.
     light : ScreenMap, optional
         From `lit`, in place of tracing it.
 
@@ -119,7 +119,7 @@ def expected(
         As `irradiance` and `photograph`.
     """
     if light is None:
-        light = lit(recording, exposure, errors, shape=shape, seed=seed, relative_error=relative_error)
+        light = lit(recording, exposure, errors, shape=shape, seed=seed, rays=rays)
     placement = place(recording.mirror, exposure, errors)
     seen_by = np.asarray(rotation) @ placement.screen_rotation.T
     pose = (seen_by, np.asarray(translation) - seen_by @ placement.screen_origin)

@@ -19,7 +19,7 @@ from benchsim.report import pixels
 ROOT = Path(__file__).resolve().parents[2]
 CLEAN = ROOT.parent / "shared" / "recordings" / "bench-other-code" / "clean-f7"
 
-BOW = {"bow_y": 0.004, "bow_z": -0.004}
+BOW = {"bow_y": 0.012, "bow_z": -0.012}
 
 
 def seen(recording):
@@ -34,8 +34,8 @@ def parameters(built, effect):
 
 @pytest.fixture(scope="module")
 def bowed(tmp_path_factory):
-    """Fig. 7(a) on a bowed board, the same with its two lamps' worth of azimuth on, and once more lower; cameras of
-    half the resolution; the file does not say that the board is bowed."""
+    """Fig. 7(a) and two settings near it on a bowed board, by a camera of half the resolution; the file says nothing of
+    the bow."""
     whole = read(ROOT / "scenes" / "fig7a.toml", images=False)
     (first,), camera = whole.exposures, whole.cameras["A"]
     (w, h), (cx, cy) = camera.resolution, camera.principal_point
@@ -60,17 +60,16 @@ def bowed(tmp_path_factory):
 def test_a_setting_left_out_is_rendered_to_its_noise(bowed):
     """Rationale: the bar, on photographs of our own: z of 0.9 … 1.15 after, larger before.
 
-    Set-up: a bowed board in three settings, each rendered with the bow that the other two say. Expectation: bow within
-    4 sigma-like reach of the truth, z within the bar, before above it.
+    Set-up: a bowed board in three settings, each rendered with the bow that the other two say; before: without it, all
+    settings fitted. Expectation: the bow within a tenth of the truth, z within the bar, before above it.
     """
     observed, built = seen(bowed)
     own = parameters(built, "screen-bow")
     start = probable(built, [*built.nuisances, *own], {})
     after = left_out(built, ["screen-bow"], start)
-    before = left_out(built, (), probable(built, built.nuisances, {}))
-    assert not before[0].keys() & BOW.keys()
+    before = [probable(built, built.nuisances, {})] * 3
     for values in after:
-        assert {k: values[k] for k in BOW} == pytest.approx(BOW, abs=1e-3)
+        assert {k: values[k] for k in BOW} == pytest.approx(BOW, rel=0.1)
     # What a setting is predicted with may not come from itself.
     assert len({values["bow_y"] for values in after}) == 3
     old, new = ([state(built.predict, b, v[b]) for b in range(3)] for v in (before, after))
