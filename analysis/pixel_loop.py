@@ -21,8 +21,8 @@ to 1.05 and 1.09. (b) In 006 (and a little in 001) the beam's density falls the 
 the fitted setting has it: a free slope takes 006 from 1.29 to 1.12. Centre line, width and flux do not say where the
 mirror stands along its axis; a line's skewness would. Neither is put right here, as neither is known beforehand.
 
-Renders of one's own: 0.99 after (bow, seed 31) and 1.02 (clean, seed 32) without speckle; 1.04 (bow, seed 41) with. A
-bow of such sizes is hardly seen in their pixels once settings are fitted (before: 0.99 and 1.04).
+Renders of one's own, after: 1.04 (bow, seed 41), 1.03 (clean, seed 42), the latter's 004 worst with 1.12, of cause (b).
+That bow is not seen in their pixels once settings are fitted (before: 1.04), so that they test the loop, not the gain.
 """
 
 from __future__ import annotations
