@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.linear import whiten
+from benchsim.diagnosis.linear import predictions, whiten
 from benchsim.diagnosis.problem import Parameter, Problem
 
 Array = NDArray[np.float64]
@@ -28,7 +28,8 @@ STEP = 1.0
 """Of the differences, in prior sigmas: what is wanted is the behaviour over a few of them."""
 
 FLAT = 0.05
-"""A nuisance that bends the data by less than this many sigma over one prior sigma is taken to act linearly."""
+"""A nuisance that bends the data by less than this many sigma over one prior sigma, alone or as all others are moved by
+theirs, is taken to act linearly."""
 
 
 @dataclass(frozen=True)
@@ -60,46 +61,69 @@ def measure(problem: Problem) -> tuple[Curvature, int]:
     acting = [[k for k, p in enumerate(nuisances) if p.blocks is None or b in p.blocks] for b in blocks]
     tasks = [(b, k, sign) for b in blocks for k in acting[b] for sign in (1.0, -1.0)]
     values = [{nuisances[k].name: sign * STEP * nuisances[k].sigma} for _, k, sign in tasks]
-    plain = tuple(np.asarray(f) for f in problem.spread(problem.predict, [{}] * len(blocks), list(blocks)))
-    found = problem.spread(problem.predict, values, [b for b, _, _ in tasks])
+    plain = tuple(predictions(problem, [{}] * len(blocks), list(blocks)))
+    found = predictions(problem, values, [b for b, _, _ in tasks])
     first = np.zeros((len(problem.data), len(nuisances)))
     bend = np.zeros_like(first)
-    ahead: dict[tuple[int, int], Array] = {}
+    alone: dict[tuple[int, int, float], Array] = {}
     for (b, k, sign), f in zip(tasks, found, strict=True):
         rows, change = problem.rows(b), np.asarray(f) - plain[b]
         first[rows, k] += sign * change / (2 * STEP)
         bend[rows, k] += change / STEP**2
-        if sign > 0:
-            ahead[b, k] = change
-    white = whiten(problem, problem.covariance, bend)[0]
+        alone[b, k, sign] = change
+    others, tried = _with_others(problem, acting, alone)
+    white = whiten(problem, problem.covariance, np.column_stack([bend, others]))[0]
+    p = len(nuisances)
     curved, second, steps, pairs = [], [], [], []
     for b in blocks:
         rows = problem.rows(b)
-        own = [k for k in acting[b] if np.linalg.norm(white[rows, k]) > 2 * FLAT]
+        own = [k for k in acting[b] if max(np.linalg.norm(white[rows, j]) for j in (k, p + k)) > 2 * FLAT]
         curved.append(np.array(own, np.intp))
         h = np.zeros((len(plain[b]), len(own), len(own)))
         for i, k in enumerate(own):
             h[:, i, i] = bend[rows, k]
         second.append(h)
-        steps.append(np.stack([ahead[b, k] for k in own], axis=1) if own else np.zeros((len(plain[b]), 0)))
+        steps.append(np.stack([alone[b, k, 1.0] for k in own], axis=1) if own else np.zeros((len(plain[b]), 0)))
         pairs += [(b, i, j) for i in range(len(own)) for j in range(i)]
     both = [
         {nuisances[curved[b][i]].name: STEP * nuisances[curved[b][i]].sigma}
         | {nuisances[curved[b][j]].name: STEP * nuisances[curved[b][j]].sigma}
         for b, i, j in pairs
     ]
-    found = problem.spread(problem.predict, both, [b for b, _, _ in pairs])
+    found = predictions(problem, both, [b for b, _, _ in pairs])
     for (b, i, j), f in zip(pairs, found, strict=True):
         mixed = (np.asarray(f) - plain[b] - steps[b][:, i] - steps[b][:, j]) / STEP**2
         second[b][:, i, j] = second[b][:, j, i] = mixed
-    count = len(plain) + len(tasks) + len(pairs)
+    count = len(plain) + len(tasks) + tried + len(pairs)
     return Curvature(first, tuple(curved), tuple(second), plain, tuple(steps)), count
+
+
+def _with_others(
+    problem: Problem,
+    acting: list[list[int]],
+    alone: dict[tuple[int, int, float], Array],
+) -> tuple[Array, int]:
+    """How much of each nuisance's step is different where all others are moved too, (n, p), and predictions made.
+
+    The signs come from a fixed seed: the same data give the same diagnosis.
+    """
+    nuisances, blocks = problem.nuisances, range(len(problem.names))
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], len(nuisances))
+    tasks = [(b, k) for b in blocks for k in (-1, *acting[b])]
+    values = [{nuisances[j].name: signs[j] * STEP * nuisances[j].sigma for j in acting[b] if j != k} for b, k in tasks]
+    found = predictions(problem, values, [b for b, _ in tasks])
+    moved = {task: np.asarray(f) for task, f in zip(tasks, found, strict=True)}
+    out = np.zeros((len(problem.data), len(nuisances)))
+    for b in blocks:
+        for k in acting[b]:
+            out[problem.rows(b), k] = moved[b, -1] - moved[b, k] - alone[b, k, signs[k]]
+    return out, len(tasks)
 
 
 def mixed(
     problem: Problem, about: Curvature, parameter: Parameter, amplitude: float, others: Mapping[str, float]
-) -> tuple[tuple[Array, ...], int]:
-    """Change of the curved nuisances' columns per unit of an amplitude, per block (n_b, m_b).
+) -> tuple[tuple[Array, ...], Array, int]:
+    """Change of the curved nuisances' columns per unit of an amplitude, per block (n_b, m_b), and its own bend, (n,).
 
     Parameters
     ----------
@@ -113,25 +137,35 @@ def mixed(
 
     Returns
     -------
-    changes, number of predictions
+    changes : per block, (n_b, m_b)
+    bend : (n,)
+        Second derivative by the amplitude.
+    count : int
+        Predictions made.
     """
-    value = amplitude ** (1 / parameter.power) if parameter.power > 1 else amplitude
-    on = {**others, parameter.name: value}
-    tasks = [(b, -1) for b in range(len(problem.names))]
+
+    def with_amplitude(q: float) -> dict[str, float]:
+        return {**others, parameter.name: q ** (1 / parameter.power) if parameter.power > 1 else q}
+
+    on = with_amplitude(amplitude)
+    tasks = [(b, i) for b in range(len(problem.names)) for i in (-2, -1)]
     tasks += [(b, i) for b in range(len(problem.names)) for i in range(len(about.curved[b]))]
     nuisances = problem.nuisances
     values = [
-        on if i < 0 else {**on, nuisances[about.curved[b][i]].name: STEP * nuisances[about.curved[b][i]].sigma}
+        with_amplitude(amplitude / 2)
+        if i == -2
+        else on | ({} if i < 0 else {nuisances[about.curved[b][i]].name: STEP * nuisances[about.curved[b][i]].sigma})
         for b, i in tasks
     ]
     out = [np.zeros_like(s) for s in about.steps]
-    alone: dict[int, Array] = {}
-    for (b, i), f in zip(tasks, problem.spread(problem.predict, values, [b for b, _ in tasks]), strict=True):
+    alone: dict[tuple[int, int], Array] = {}
+    for (b, i), f in zip(tasks, predictions(problem, values, [b for b, _ in tasks]), strict=True):
         if i < 0:
-            alone[b] = np.asarray(f)
+            alone[b, i] = np.asarray(f)
         else:
-            out[b][:, i] = (np.asarray(f) - alone[b] - about.steps[b][:, i]) / (STEP * amplitude)
-    return tuple(out), len(tasks)
+            out[b][:, i] = (np.asarray(f) - alone[b, -1] - about.steps[b][:, i]) / (STEP * amplitude)
+    bend = [4 * (alone[b, -1] - 2 * alone[b, -2] + about.plain[b]) / amplitude**2 for b in range(len(problem.names))]
+    return tuple(out), np.concatenate(bend), len(tasks)
 
 
 def nuisance_columns(problem: Problem, about: Curvature, nuisance: Array, changes: Array | None = None) -> Array:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from benchsim.diagnosis import evidence, linear, noise, refit, screen, settings
+from benchsim.diagnosis import curvature, evidence, linear, noise, refit, screen, settings
+from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.linear import Linear
@@ -39,8 +40,12 @@ IDLE = 1.5
 """The same for what was weighed about a good fit of fewer effects: that linearisation is the right one unless what is
 added is large, and then it is not behind."""
 
-BENT = 3.0
-"""χ² per datum from which a fit's nuisances are no place to start from."""
+LONE = 5
+"""Refits, the null included, in which single effects are tried first where the null misses the data."""
+
+AFAR = 10.0
+"""By how much noise is enlarged about the stated settings, where a misfit of settings by 2 sigma leaves some sigma of
+curvature."""
 
 LARGEST = 4
 """Effects in one hypothesis."""
@@ -80,20 +85,24 @@ def name(problem: Problem, progress: Progress | None = None, *, refits: int = MO
     tell = progress or (lambda what, done: None)
     _check(problem)
     tell("fitting the settings", 0.0)
-    solved, found = _null(problem)
+    bends = curvature.measure(problem)[0]
+    solved, found = _null(problem, bends)
     tell("differentiating the effects", 0.15)
     catalogue = screen.expand(problem, solved.fit.values)
     remove = _removed(problem, catalogue, solved.known.columns)
     found = noise.estimate(problem, solved.residual, remove)
     for attempt in range(2):
-        context = _context(problem, found)
+        context = _context(problem, found, bends)
+        hopeless = refit.misses(context, solved)
         solved = refit.fit(
             context,
             Hypothesis(()),
-            _starts(solved.point),
+            [solved.point] if hopeless else _starts(solved.point),
             solved.known,
             np.zeros((len(problem.data), 0)),
             screen.log_prior((), list(catalogue.effects)),
+            # Where the null misses by far, what it says is that it does.
+            rounds=1 if hopeless else None,
         )
         tell("weighing singles and pairs", 0.35)
         table, done = _search(context, catalogue, solved, refits, tell)
@@ -117,8 +126,8 @@ def _check(problem: Problem) -> None:
         raise ValueError("a covariance of the problem is not finite; leave such data out")
 
 
-def _context(problem: Problem, found: Noise) -> Context:
-    return Context(problem, refit.whitener(problem, found.covariance), *settings.grid())
+def _context(problem: Problem, found: Noise, bends: Curvature) -> Context:
+    return Context(problem, refit.whitener(problem, found.covariance), *settings.grid(), bends)
 
 
 def _starts(point: Point) -> list[Point]:
@@ -126,20 +135,20 @@ def _starts(point: Point) -> list[Point]:
     return [point, replace(point, nuisance=-point.nuisance)]
 
 
-def _null(problem: Problem) -> tuple[Solved, Noise]:
+def _null(problem: Problem, bends: Curvature) -> tuple[Solved, Noise]:
     """The null's fit from the stated settings, with a first estimate of the noise."""
     zero = Point(np.zeros(len(problem.nuisances)), np.zeros(0), np.zeros(0))
     residual = problem.data - linear.predict_all(problem, {})
     if not np.isfinite(residual).all():
         raise ValueError("the simulation predicts no finite value for some data as stated; leave such data out")
-    columns = linear.columns(problem, {}, problem.nuisances) * np.array([n.sigma for n in problem.nuisances])
+    columns = bends.first
     largest = float(settings.grid()[0][-1])
     found = noise.estimate(problem, residual, columns * largest)
     solved = refit.fit(
-        _context(problem, found),
+        _context(problem, found, bends),
         Hypothesis(()),
         [zero],
-        Known(columns, (), zero.nuisance),
+        Known(columns, zero.nuisance),
         np.zeros((len(problem.data), 0)),
         rounds=ROUGHLY,
     )
@@ -171,6 +180,8 @@ def _search(
     """Screen, refit, weigh again what contains the refitted, until nothing unfitted matters."""
     white = context.whiten(catalogue.columns)
     log_z = screen.screen(null.fit.linear, catalogue, white, context.scales, context.weights)
+    if refit.misses(context, null):
+        _screen_from_afar(context, catalogue, white, log_z)
     log_z[()] = null.fit.log_evidence
     table = _Table(log_z, dict.fromkeys(log_z, ()))
     done: dict[Effects, Solved] = {(): null}
@@ -179,6 +190,9 @@ def _search(
         left = [e for e in table.log_z if e not in done]
         if len(done) >= FEWEST:
             left = [e for e in left if table.log_z[e] >= best - _margin(table, done, e)]
+        if len(done) <= LONE and all(refit.misses(context, s) for s in done.values()):
+            # Nothing fits yet: two effects at once would be sought from a point that is no place to start from.
+            left = [e for e in left if len(e) == 1] or left
         if not left:
             break
         pick = max(left, key=lambda e: table.log_z[e])
@@ -189,6 +203,27 @@ def _search(
         if solved.fit.converged:
             _weigh_again(context, catalogue, white, solved, table, done)
     return table, done
+
+
+def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_z: dict[Effects, float]) -> None:
+    """Weigh about the stated settings too, with noise `AFAR` times larger.
+
+    Where the null misses the data its settings are bent to where no linearisation holds. About the stated ones the
+    errors of linearisation are some sigma, which such noise covers: what stands out of it is found however far the null
+    went. A hypothesis keeps the better of its two weights; if that is too good its refit will show it.
+    """
+    problem, about = context.problem, context.curvature
+    if about is None:
+        return
+    residual = problem.data - np.concatenate(about.plain)
+    columns = context.whiten(np.column_stack([residual, about.first])) / AFAR
+    scaled = np.array([n.scaled for n in problem.nuisances], bool)
+    p = columns.shape[1]
+    empty = np.zeros((len(residual), 0))
+    lin = Linear(columns[:, 0], columns[:, 1:p], scaled, empty, (), problem.block, 0.0)
+    far = screen.screen(lin, catalogue, white / AFAR, context.scales, context.weights)
+    for effects, z in far.items():
+        log_z[effects] = max(log_z[effects], log_z[()] + z - far[()])
 
 
 def _margin(table: _Table, done: Mapping[Effects, Solved], effects: Effects) -> float:
@@ -227,15 +262,16 @@ def _refit(
             shape += [at[p.name] if keep else place[p.name] for p in evidence.shapes(e)]
         nuisance = source.point.nuisance if first == 0 else np.zeros(lin.nuisance.shape[1])
         starts.append(Point(nuisance, np.array(amplitude), np.array(shape)))
-    own = None
-    if source.fit.chi2 > BENT * len(context.problem.data):
+    known, own, p = _nearest(effects, done), None, lin.nuisance.shape[1]
+    if refit.misses(context, source):
         # Nuisances that were bent to hide an effect are further from the truth than as stated.
-        starts[0], starts[1] = replace(starts[1], shape=starts[0].shape), starts[0]
-    if not own_effects:
+        starts = [replace(starts[0], nuisance=np.zeros(p))]
+        known = known if context.curvature is None else Known(context.curvature.first, np.zeros(p))
+    elif not own_effects:
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
         own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])
     prior = screen.log_prior(effects, list(catalogue.effects))
-    solved = refit.fit(context, h, starts, _nearest(effects, done), own, prior)
+    solved = refit.fit(context, h, starts, known, own, prior)
     unseen = _unseen_shapes(h, solved.fit)
     if unseen:
         # Laplace fails where an amplitude is too small to say where: the sum over the grid stands, about the best fit

@@ -14,7 +14,7 @@ prior enters as a Gaussian of the same height, range/√(2π) wide.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,13 +23,16 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.special import logsumexp
 
-from benchsim.diagnosis import evidence, linear, settings
+from benchsim.diagnosis import curvature, evidence, linear, settings
+from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import Effects, Fit
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
 Array = NDArray[np.float64]
+Change = tuple[Array, Array] | None
+Columns = Callable[[Array], Array]
 
 STILL = 0.2
 """Gain in ln posterior that renewed derivatives may still promise in a converged fit. Names are given at margins of 3
@@ -41,8 +44,15 @@ DESCENT = 2e-3
 AGREE = 0.05
 """Relative error of the nuisances' columns that is let pass, in a random combination of one posterior sigma each."""
 
-STEPS, SHRINKS = 12, 6
-"""Of one descent, and of the region before a step is given up."""
+STEPS, SHRINKS, RENEWALS = 60, 12, 24
+"""Steps on one second-order model, of the region before a step is given up, and residuals renewed in one descent."""
+
+REACH, FAR = 1.5, 6.0
+"""Prior sigmas over which a second-order model is followed before the residual is asked again, first and at most."""
+
+TEMPERED, COOLING, WRONG = 2.0, 3.0, 7.0
+"""rms residual [sigma] above which a descent begins with larger noise; by how much that falls; and how far, in its own
+sigmas, the model may have missed all data together for it to fall."""
 
 RADIUS = 3.0
 """Prior sigmas by which a first step may move a parameter."""
@@ -85,11 +95,14 @@ class Point:
 
 @dataclass(frozen=True)
 class Known:
-    """Derivatives by the nuisances per prior sigma (n, p), not whitened, and about which fit they are."""
+    """Derivatives by the nuisances per prior sigma (n, p), not whitened, and where they hold.
+
+    ``amplitude`` holds the amplitudes there that are not 0, in fit space.
+    """
 
     columns: Array
-    effects: Effects
     nuisance: Array
+    amplitude: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -118,6 +131,9 @@ class Context:
     whiten: Whitener
     scales: Array
     weights: Array
+    curvature: Curvature | None = None
+    mixed: dict[tuple[str, tuple[tuple[str, float], ...]], tuple[Array, Array]] = field(default_factory=dict)
+    bent: list[Array] = field(default_factory=list)
     count: Count = field(default_factory=Count)
 
     def columns(self, at: Mapping[str, float], parameters: Sequence[Parameter]) -> Array:
@@ -131,6 +147,27 @@ class Context:
         """`linear.predict_all`, counted."""
         self.count.predictions += len(self.problem.names)
         return linear.predict_all(self.problem, at)
+
+    def second(self) -> tuple[Array, ...]:
+        """The curvature's second derivatives, whitened, per block."""
+        if not self.bent and self.curvature is not None:
+            for low, bend in zip(self.whiten.lower, self.curvature.second, strict=True):
+                n, m = bend.shape[:2]
+                flat = bend.reshape(n, m * m)
+                white = solve_triangular(low, flat, lower=True, check_finite=False) if m else flat
+                self.bent.append(white.reshape(n, m, m))
+        return tuple(self.bent)
+
+    def change(self, parameter: Parameter, amplitude: float, others: Mapping[str, float]) -> Change:
+        """M (n, p) of an amplitude and its bend (n,), measured once; None where it is too small to matter."""
+        if self.curvature is None or abs(amplitude) < 0.02 * parameter.sigma**parameter.power:
+            return None
+        key = (parameter.name, tuple(sorted(others.items())))
+        if key not in self.mixed:
+            found, bend, count = curvature.mixed(self.problem, self.curvature, parameter, amplitude, others)
+            self.count.predictions += count
+            self.mixed[key] = curvature.spread_out(self.problem, self.curvature, found), bend
+        return self.mixed[key]
 
 
 def _range(p: Parameter) -> float:
@@ -308,32 +345,130 @@ class _State:
     residual: Array
 
 
-def _descend(
-    context: Context, h: Hypothesis, prior: _Prior, state: _State, white: Array, still: float = DESCENT
-) -> _State:
-    """Gauss-Newton with the derivatives as they are, in a region that grows and shrinks with their success."""
-    p, radius = len(context.problem.nuisances), RADIUS
+@dataclass(frozen=True)
+class _Model:
+    """Residual and derivatives to second order about a point, all whitened.
+
+    ``known`` and ``own`` are the derivatives there, ``second`` those by pairs of nuisances, per block, ``changes`` the
+    amplitudes' M and bend (None: not needed).
+    """
+
+    context: Context
+    residual: Array
+    known: Array
+    own: Array
+    changes: Sequence[Change]
+
+    def at(self, step: Array) -> tuple[Array, Array]:
+        """Whitened residual and columns a step away."""
+        p = self.known.shape[1]
+        dx, dq = step[:p], step[p:]
+        known, own = self.known.copy(), self.own.copy()
+        about = self.context.curvature
+        if about is not None:
+            for b, (mine, second) in enumerate(zip(about.curved, self.context.second(), strict=True)):
+                if len(mine):
+                    known[self.context.problem.rows(b), mine] += second @ dx[mine]
+        bent = 0.5 * (known - self.known) @ dx
+        for i, change in enumerate(self.changes):
+            if change is not None:
+                moved = change[0] @ dx
+                known += dq[i] * change[0]
+                own[:, i] += moved + dq[i] * change[1]
+                bent += dq[i] * (moved + 0.5 * dq[i] * change[1])
+        return self.residual - self.known @ dx - self.own @ dq - bent, np.column_stack([known, own])
+
+
+def _model(context: Context, h: Hypothesis, theta: Array, white: Array, known: Known, own: Array) -> _Model:
+    """About a point whose residual is whitened already."""
+    p = len(context.problem.nuisances)
+    columns = context.whiten(np.column_stack([_carried(context, h, known, theta).columns, own]))
+    changes: list[Change] = []
+    for change in _changes(context, h, theta):
+        both = None if change is None else context.whiten(np.column_stack([change[0], change[1]]))
+        changes.append(None if both is None else (both[:, :-1], both[:, -1]))
+    return _Model(context, white, columns[:, :p], columns[:, p:], [*changes, *[None] * len(h.shapes)])
+
+
+def _tempered(context: Context, prior: _Prior, theta: Array, white: Array, s: float) -> float:
+    """−ln posterior with noise s times larger."""
+    return 0.5 * float(white @ white) / s**2 + prior.cost(theta)
+
+
+def _downhill(model: _Model, prior: _Prior, theta: Array, reach: float, s: float) -> tuple[Array, float, Array]:
+    """Minimum of the model within ``reach`` with noise s times larger: step, cost and whitened residual there.
+
+    Costs no prediction.
+    """
+    step, radius = np.zeros(len(theta)), min(RADIUS, reach)
+    residual, white = model.at(step)
+    cost = _tempered(model.context, prior, theta, residual, s)
     for _ in range(STEPS):
-        normal = _normal(white, context.whiten(state.residual), prior, state.theta)
-        promise = _step(normal, prior, state.theta, p)[1]
-        if promise < still:
+        normal = _normal(white / s, residual / s, prior, theta + step)
+        if _step(normal, prior, theta + step, model.known.shape[1])[1] < DESCENT:
             break
+        better = False
         for _ in range(SHRINKS):
-            step, expected = _step(normal, prior, state.theta, p, radius)
-            cost, residual = _cost(context, h, prior, state.theta + step)
-            if cost < state.cost:
+            more, expected = _step(normal, prior, theta + step, model.known.shape[1], radius)
+            trial = step + more
+            if np.abs(trial / prior.unit).max(initial=0.0) > reach:
+                radius *= 0.3
+                continue
+            tried = model.at(trial)
+            now = _tempered(model.context, prior, theta + trial, tried[0], s)
+            if now < cost:
+                better = True
                 break
-            radius = 0.3 * min(radius, float(np.abs(step / prior.unit).max(initial=0.0)) or radius)
-        if not cost < state.cost:
+            radius *= 0.3
+        if not better:
             break
-        gained = state.cost - cost
-        state = _State(state.theta + step, cost, residual)
-        # Old derivatives that keep a quarter of their promise are better renewed than followed.
-        if gained < max(still, 0.25 * expected):
-            break
+        (residual, white), step, gained, cost = tried, trial, cost - now, now
         if gained > 0.75 * expected:
             radius *= 2
-    return state
+        if gained < DESCENT:
+            break
+    return step, cost, residual
+
+
+def _descend(
+    context: Context, h: Hypothesis, prior: _Prior, state: _State, known: Known, own: Array, columns_at: Columns
+) -> tuple[_State, Array]:
+    """To the minimum that stated settings lead to; also the own columns there.
+
+    A residual of a thousand sigma says nothing about directions that nearly cancel: exact noise would follow the
+    model's own errors along them. So noise is first taken as large as the residual, and falls as the second-order model
+    proves to be right.
+    """
+    white = context.whiten(state.residual)
+    s = max(1.0, float(np.sqrt(white @ white / len(white))))
+    s = s if s > TEMPERED else 1.0
+    reach = REACH
+    for _ in range(RENEWALS):
+        model = _model(context, h, state.theta, white, known, own)
+        before = _tempered(context, prior, state.theta, white, s)
+        step, promised, expected = _downhill(model, prior, state.theta, reach, s)
+        promise, length = before - promised, float(np.abs(step / prior.unit).max(initial=0.0))
+        if not length or promise < DESCENT:
+            if s == 1.0:
+                break
+            s = max(1.0, s / COOLING)
+            continue
+        cost, residual = _cost(context, h, prior, state.theta + step)
+        there = context.whiten(residual) if np.isfinite(cost) else np.full(len(white), 1e9)
+        gained = before - _tempered(context, prior, state.theta + step, there, s)
+        if gained > 0:
+            state, white = _State(state.theta + step, cost, residual), there
+            own = columns_at(state.theta)
+        if gained > 0.7 * promise:
+            reach = min(1.7 * reach, FAR)
+        elif gained < 0.3 * promise:
+            reach = 0.4 * min(reach, length)
+        wrong = float(np.linalg.norm(there - expected))
+        if gained > 0.3 * promise and wrong < WRONG * s:
+            s = max(1.0, s / COOLING)
+        if s == 1.0 and promise < 0.5 * (STILL + 0.02 * _excess(white)):
+            break
+    return state, own
 
 
 def _begin(context: Context, h: Hypothesis, prior: _Prior, point: Point) -> _State:
@@ -343,18 +478,65 @@ def _begin(context: Context, h: Hypothesis, prior: _Prior, point: Point) -> _Sta
 
 
 def _still(context: Context, residual: Array) -> float:
-    """`STILL`, and a thousandth of a misfit that is beyond doubt: what misses by far need not miss exactly."""
+    """`STILL`, and a fiftieth of a misfit that is beyond doubt: what misses by far need not miss exactly."""
     white = context.whiten(residual)
-    return STILL + 1e-3 * max(0.0, 0.5 * float(white @ white) - len(white))
+    return STILL + 0.02 * _excess(white)
+
+
+def _excess(white: Array) -> float:
+    """By how much −ln likelihood lies above three sigma of what noise gives."""
+    n = len(white)
+    return max(0.0, 0.5 * float(white @ white) - 0.5 * n - 1.5 * np.sqrt(2 * n))
+
+
+def misses(context: Context, solved: Solved) -> bool:
+    """Whether a fit lies beyond what noise explains, so that its point says little about other hypotheses."""
+    return _excess(context.whiten(solved.residual)) > 0
+
+
+def _changes(context: Context, h: Hypothesis, theta: Array) -> list[Change]:
+    """M of every own amplitude, as it is at this point."""
+    p, k = len(context.problem.nuisances), len(h.amplitudes)
+    if context.curvature is None:
+        return [None] * k
+    shapes = {s.name: float(x) for s, x in zip(h.shapes, theta[p + k :], strict=True)}
+    out: list[Change] = []
+    first = p
+    for e in h.effects:
+        others = {s.name: round(shapes[s.name], 2) for s in evidence.shapes(e)} | dict(evidence.fixed(e))
+        for a in evidence.amplitudes(e):
+            out.append(context.change(a, float(theta[first]), others))
+            first += 1
+    return out
+
+
+def _amplitudes(context: Context, h: Hypothesis, theta: Array) -> dict[str, float]:
+    p = len(context.problem.nuisances)
+    return {a.name: float(q) for a, q in zip(h.amplitudes, theta[p:], strict=False)}
+
+
+def _carried(context: Context, h: Hypothesis, known: Known, theta: Array) -> Known:
+    """The nuisances' columns carried from where they are known to this point by second derivatives."""
+    about, p = context.curvature, len(context.problem.nuisances)
+    if about is None:
+        return known
+    now = _amplitudes(context, h, theta)
+    columns = known.columns + curvature.nuisance_columns(context.problem, about, theta[:p] - known.nuisance)
+    columns -= about.first
+    for name, change in zip(now, _changes(context, h, theta), strict=True):
+        if change is not None:
+            columns += (now[name] - known.amplitude.get(name, 0.0)) * change[0]
+    return Known(columns, theta[:p].copy(), now)
 
 
 def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: Array) -> Known:
-    """The nuisances' columns as known, if a random combination of them holds at this point; else recomputed."""
+    """The nuisances' columns as carried, if a random combination of them holds at this point; else recomputed."""
     problem = context.problem
     nuisances = problem.nuisances
     p = len(nuisances)
-    if not p or (np.array_equal(theta[:p], known.nuisance) and h.names == known.effects):
+    if not p or (np.array_equal(theta[:p], known.nuisance) and known.amplitude == _amplitudes(context, h, theta)):
         return known
+    known = _carried(context, h, known, theta)
     at = values(problem, h, _point(theta, p, len(h.amplitudes)))
     white = context.whiten(known.columns)
     lower = np.linalg.cholesky(white.T @ white + np.diag(scaled**-2.0))
@@ -375,7 +557,7 @@ def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: 
     if np.linalg.norm(wrong) <= AGREE * max(float(np.linalg.norm(stated)), 1.0):
         return known
     columns = context.columns(at, nuisances) * np.array([n.sigma for n in nuisances])
-    return Known(columns, h.names, theta[:p].copy())
+    return Known(columns, theta[:p].copy(), _amplitudes(context, h, theta))
 
 
 def about(context: Context, h: Hypothesis, point: Point, residual: Array, known: Known, own: Array) -> Linear:
@@ -456,15 +638,16 @@ def fit(
     theta = _theta(starts[0])
     own = columns_at(theta) if own is None else own
     residual = problem.data - context.predict(values(problem, h, starts[0]))
-    hyper = chosen(theta, residual, known, own)
+    known = _carried(context, h, known, theta)
+    # Far from the fit the residual would ask for the largest scale: it is settled after the first descent.
+    hyper = (0, chosen(theta, residual, known, own)[1])
     prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
     state = _begin(context, h, prior, starts[0])
     converged, checked = False, 0
     for turn in range(rounds or ROUNDS):
-        state = _descend(context, h, prior, state, white(known.columns, own))
+        state, own = _descend(context, h, prior, state, known, own, columns_at)
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
         known = _fresh(context, h, state.theta, known, s)
-        own = columns_at(state.theta)
         now = chosen(state.theta, state.residual, known, own)
         # Between two neighbours on the grid that are as probable the choice could swing for ever; any point near the
         # peak will do, since the evidence sums over the grid.
@@ -482,9 +665,10 @@ def fit(
         checked += 1
         other = _begin(context, h, prior, starts[checked])
         if np.isfinite(other.cost):
-            other = _descend(context, h, prior, other, white(known.columns, own))
+            start = known if context.curvature is None else Known(context.curvature.first, np.zeros(p))
+            other, its = _descend(context, h, prior, other, start, columns_at(other.theta), columns_at)
             if other.cost < state.cost - _still(context, state.residual):
-                state, converged = other, False
+                state, own, converged = other, its, False
                 continue
         if checked >= len(starts) - 1:
             break

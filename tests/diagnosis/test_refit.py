@@ -17,7 +17,7 @@ def context_of(problem):
 
 def known_at_zero(problem):
     sigma = np.array([n.sigma for n in problem.nuisances])
-    return Known(linear.columns(problem, {}, problem.nuisances) * sigma, (), np.zeros(len(sigma)))
+    return Known(linear.columns(problem, {}, problem.nuisances) * sigma, np.zeros(len(sigma)))
 
 
 def fitted(problem, effects, shape=()):
@@ -133,7 +133,7 @@ def test_derivatives_are_renewed_where_they_no_longer_hold():
     context = context_of(problem)
     good = known_at_zero(problem)
     rng = np.random.default_rng(0)
-    bent = Known(good.columns * rng.uniform(0.6, 1.4, good.columns.shape[1]), ("bow",), good.nuisance + 1.0)
+    bent = Known(good.columns * rng.uniform(0.6, 1.4, good.columns.shape[1]), good.nuisance + 1.0)
     h = Hypothesis((BY_NAME["turn"],))
     zero = Point(good.nuisance, np.zeros(1), np.zeros(0))
     right = refit.fit(context, h, [zero], good)

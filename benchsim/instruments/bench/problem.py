@@ -34,9 +34,10 @@ Array = NDArray[np.float64]
 BLUR_SIGMA = 0.15
 """Of the blur as a fraction: marks at the board's edge and the trace in its middle are not equally sharp."""
 
-SHAPE_SIGMA = 0.1
-"""Of the beam's log-density perturbations. A TEM00 beam behind an expander is Gaussian to some 10 % of its
-density within its 1/e² radius (M² ≤ 1.1), and round to 5 % in diameter, which is a perturbation of 0.1."""
+SHAPE_SIGMA = {"beam_c4": 0.02, "beam_plus": 0.05, "beam_cross": 0.05}
+"""Of the beam's log-density perturbations: a TEM00 beam behind an expander is round to some 2.5 % in diameter, which is
+a perturbation of 0.05, and Gaussian to 2 to 6 % of its density out to its 1/e² radius. Larger quartic terms would also
+make the fits treacherous: with a sigma of 0.1 they have a second minimum far away."""
 
 GAIN_SIGMA = 1.0
 """Of the logarithm of the light in an exposure, which is free; data are centred, so that it is nearly 0."""
@@ -131,7 +132,7 @@ def nuisances(recording: Recording, predict: Predict) -> tuple[Parameter, ...]:
         if fraction > 0:
             out[name] = Parameter(name, "1", fraction)
     for name in SHAPES:
-        out[name] = Parameter(name, "1", SHAPE_SIGMA)
+        out[name] = Parameter(name, "1", SHAPE_SIGMA[name])
     for b in blocks:
         same = tuple(i for i, other in enumerate(blocks) if other.camera == b.camera)
         if b.response is not None:
