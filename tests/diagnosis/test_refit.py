@@ -97,6 +97,7 @@ def test_a_fit_that_finds_no_step_is_marked_unconverged(monkeypatch):
     mended = refit.fit(context, h, [zero], known, wrong)
     assert mended.fit.converged
     monkeypatch.setattr(refit, "ROUNDS", 1)
+    monkeypatch.setattr(refit, "RENEWALS", 1)
     stuck = refit.fit(context, h, [zero], known, wrong)
     assert not stuck.fit.converged
 
