@@ -201,6 +201,12 @@ def _search(
         done[pick] = solved
         table.log_z[pick] = solved.fit.log_evidence
         if solved.fit.converged:
+            if refit.misses(context, null) and solved.fit.log_evidence == max(
+                s.fit.log_evidence for s in done.values()
+            ):
+                # What a large effect brings with it (diffraction needs a beam) is not seen about a null without it.
+                catalogue = screen.expand(context.problem, solved.fit.values)
+                white = context.whiten(catalogue.columns)
             _weigh_again(context, catalogue, white, solved, table, done)
     return table, done
 

@@ -56,7 +56,7 @@ def predict(
 
     Effects and fields between board and pixel do not act here; see `camera.see`. Where ``[physics]`` leaves facets,
     beam or diffraction out and an effect gives their amplitude a, the trace is (1 − a) of the one without and a of the
-    one with (multilinear in several): of the positions across, the widths, and the flux along the trace.
+    one with (multilinear in several): of the positions across, the squared widths, and the flux along the trace.
 
     Parameters
     ----------
@@ -173,8 +173,10 @@ def _mixture(bench: Bench, samples: int, *, width: bool) -> Curve:
         level += share * float(curve.flux.mean())
         phase += share * (CubicSpline(at, curve.phase)(s) if curve is not base else curve.phase)
         if curve.width is not None:
-            wide += share * np.interp(s, at, curve.width)
-    return Curve(base.points + offset[:, None] * normal, wide if width else None, relative * level, phase)
+            wide += share * np.interp(s, at, curve.width) ** 2
+    # Of a mixture of lights it is the second moment that mixes; shares beyond 0 … 1 can make it negative.
+    spread = np.sqrt(np.maximum(wide, 0.0)) if width else None
+    return Curve(base.points + offset[:, None] * normal, spread, relative * level, phase)
 
 
 def _corner(bench: Bench, physics: Physics, samples: int, *, width: bool) -> Curve:
