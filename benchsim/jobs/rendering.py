@@ -10,6 +10,7 @@ from typing import Any
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording
+from benchsim.instruments.bench import effects as bench_effects
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 
@@ -86,6 +87,7 @@ def render(
     source = Path(bench)
     recording = read(source, images=False)
     recording = replace(recording, effects=override(recording.effects, effects))
+    bench_effects.check(recording)
     folder = Path(output) if output is not None else default_folder(source, "render")
     options = {
         "seed": seed,

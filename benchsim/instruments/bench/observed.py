@@ -19,9 +19,9 @@ Array = NDArray[np.float64]
 CENTRE_BINS = 64
 SHAPE_BINS = 24
 
-WIDTH_FLOOR = 8e-3
+WIDTH_FLOOR = 5e-3
 """Smooth error of a width, as a fraction, common to neighbouring bins: what the profile's finite window, its background
-and the line's mean shape leave, and what two codes' ways of diffraction differ by (they were seen 0.5 to 1 % apart)."""
+and the line's mean shape leave, and what two codes' ways of diffraction differ by (about 0.5 % was seen)."""
 
 FLUX_FLOOR = 3e-3
 """The same of the flux: print and board reflect unevenly, and the background is subtracted to so much."""
