@@ -55,8 +55,8 @@ class Curvature:
     steps: tuple[Array, ...]
 
 
-def measure(problem: Problem) -> tuple[Curvature, int]:
-    """Differentiate twice; also the number of predictions it took."""
+def measure(problem: Problem) -> Curvature:
+    """Differentiate twice."""
     nuisances, blocks = problem.nuisances, range(len(problem.names))
     acting = [[k for k, p in enumerate(nuisances) if p.blocks is None or b in p.blocks] for b in blocks]
     tasks = [(b, k, sign) for b in blocks for k in acting[b] for sign in (1.0, -1.0)]
@@ -71,7 +71,7 @@ def measure(problem: Problem) -> tuple[Curvature, int]:
         first[rows, k] += sign * change / (2 * STEP)
         bend[rows, k] += change / STEP**2
         alone[b, k, sign] = change
-    others, tried = _with_others(problem, acting, alone)
+    others = _with_others(problem, acting, alone)
     white = whiten(problem, problem.covariance, np.column_stack([bend, others]))[0]
     p = len(nuisances)
     curved, second, steps, pairs = [], [], [], []
@@ -94,16 +94,15 @@ def measure(problem: Problem) -> tuple[Curvature, int]:
     for (b, i, j), f in zip(pairs, found, strict=True):
         mixed = (np.asarray(f) - plain[b] - steps[b][:, i] - steps[b][:, j]) / STEP**2
         second[b][:, i, j] = second[b][:, j, i] = mixed
-    count = len(plain) + len(tasks) + tried + len(pairs)
-    return Curvature(first, tuple(curved), tuple(second), plain, tuple(steps)), count
+    return Curvature(first, tuple(curved), tuple(second), plain, tuple(steps))
 
 
 def _with_others(
     problem: Problem,
     acting: list[list[int]],
     alone: dict[tuple[int, int, float], Array],
-) -> tuple[Array, int]:
-    """How much of each nuisance's step is different where all others are moved too, (n, p), and predictions made.
+) -> Array:
+    """How much of each nuisance's step is different where all others are moved too, (n, p).
 
     The signs come from a fixed seed: the same data give the same diagnosis.
     """
@@ -117,7 +116,7 @@ def _with_others(
     for b in blocks:
         for k in acting[b]:
             out[problem.rows(b), k] = moved[b, -1] - moved[b, k] - alone[b, k, signs[k]]
-    return out, len(tasks)
+    return out
 
 
 def mixed(
@@ -168,9 +167,9 @@ def mixed(
     return tuple(out), np.concatenate(bend), len(tasks)
 
 
-def nuisance_columns(problem: Problem, about: Curvature, nuisance: Array, changes: Array | None = None) -> Array:
-    """J(x), (n, p); ``changes`` (n, p) is Σ q_a M_a where amplitudes are large."""
-    out = about.first.copy() if changes is None else about.first + changes
+def nuisance_columns(problem: Problem, about: Curvature, nuisance: Array) -> Array:
+    """J₀ + H x, (n, p)."""
+    out = about.first.copy()
     for b, own in enumerate(about.curved):
         if len(own):
             rows = problem.rows(b)

@@ -85,7 +85,7 @@ def name(problem: Problem, progress: Progress | None = None, *, refits: int = MO
     tell = progress or (lambda what, done: None)
     _check(problem)
     tell("fitting the settings", 0.0)
-    bends = curvature.measure(problem)[0]
+    bends = curvature.measure(problem)
     solved, found = _null(problem, bends)
     tell("differentiating the effects", 0.15)
     catalogue = screen.expand(problem, solved.fit.values)
@@ -138,17 +138,16 @@ def _starts(point: Point) -> list[Point]:
 def _null(problem: Problem, bends: Curvature) -> tuple[Solved, Noise]:
     """The null's fit from the stated settings, with a first estimate of the noise."""
     zero = Point(np.zeros(len(problem.nuisances)), np.zeros(0), np.zeros(0))
-    residual = problem.data - linear.predict_all(problem, {})
+    residual = problem.data - np.concatenate(bends.plain)
     if not np.isfinite(residual).all():
         raise ValueError("the simulation predicts no finite value for some data as stated; leave such data out")
-    columns = bends.first
     largest = float(settings.grid()[0][-1])
-    found = noise.estimate(problem, residual, columns * largest)
+    found = noise.estimate(problem, residual, bends.first * largest)
     solved = refit.fit(
         _context(problem, found, bends),
         Hypothesis(()),
         [zero],
-        Known(columns, zero.nuisance),
+        Known(bends.first, zero.nuisance),
         np.zeros((len(problem.data), 0)),
         rounds=ROUGHLY,
     )

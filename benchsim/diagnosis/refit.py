@@ -1,10 +1,12 @@
 """Fit one hypothesis until nothing moves, and weigh it there.
 
-Gauss-Newton on nuisances, own amplitudes (in fit space, value**power) and shape parameters together. The residual is
-always exact; a step is taken only if the exact objective falls (shortened until it does). Derivatives by the
-hypothesis' own parameters are recomputed after every descent; those by the nuisances are taken over from the nearest
-point where they are known, *if* a central difference along a random combination of all of them, one posterior sigma
-each, agrees there; otherwise they are recomputed. A fit counts as converged when, with derivatives renewed, less than
+Nuisances, own amplitudes (in fit space, value**power) and shape parameters descend together, from minimum to minimum
+of a second-order model (`curvature`) whose residual is renewed each time; a step is taken only if the exact objective
+falls. Noise is taken larger at first and falls as the model proves right. Derivatives by the hypothesis' own parameters
+are recomputed after every step; those by the nuisances are carried by the second derivatives, *if* a central difference
+along a random combination of all of them, one posterior sigma each, agrees there; otherwise they are recomputed.
+
+A fit counts as converged when, with derivatives renewed, less than
 `STILL` could be gained, and when a second start ends nowhere better. An unconverged fit steals the name.
 
 The evidence is Laplace's about that point, with the exact residual: everything Gaussian in closed form, amplitudes at a
@@ -390,7 +392,7 @@ def _model(context: Context, h: Hypothesis, theta: Array, white: Array, known: K
     return _Model(context, white, columns[:, :p], columns[:, p:], [*changes, *[None] * len(h.shapes)])
 
 
-def _tempered(context: Context, prior: _Prior, theta: Array, white: Array, s: float) -> float:
+def _tempered(prior: _Prior, theta: Array, white: Array, s: float) -> float:
     """−ln posterior with noise s times larger."""
     return 0.5 * float(white @ white) / s**2 + prior.cost(theta)
 
@@ -402,7 +404,7 @@ def _downhill(model: _Model, prior: _Prior, theta: Array, reach: float, s: float
     """
     step, radius = np.zeros(len(theta)), min(RADIUS, reach)
     residual, white = model.at(step)
-    cost = _tempered(model.context, prior, theta, residual, s)
+    cost = _tempered(prior, theta, residual, s)
     for _ in range(STEPS):
         normal = _normal(white / s, residual / s, prior, theta + step)
         if _step(normal, prior, theta + step, model.known.shape[1])[1] < DESCENT:
@@ -415,7 +417,7 @@ def _downhill(model: _Model, prior: _Prior, theta: Array, reach: float, s: float
                 radius *= 0.3
                 continue
             tried = model.at(trial)
-            now = _tempered(model.context, prior, theta + trial, tried[0], s)
+            now = _tempered(prior, theta + trial, tried[0], s)
             if now < cost:
                 better = True
                 break
@@ -445,7 +447,7 @@ def _descend(
     reach = REACH
     for _ in range(RENEWALS):
         model = _model(context, h, state.theta, white, known, own)
-        before = _tempered(context, prior, state.theta, white, s)
+        before = _tempered(prior, state.theta, white, s)
         step, promised, expected = _downhill(model, prior, state.theta, reach, s)
         promise, length = before - promised, float(np.abs(step / prior.unit).max(initial=0.0))
         if not length or promise < DESCENT:
@@ -455,7 +457,7 @@ def _descend(
             continue
         cost, residual = _cost(context, h, prior, state.theta + step)
         there = context.whiten(residual) if np.isfinite(cost) else np.full(len(white), 1e9)
-        gained = before - _tempered(context, prior, state.theta + step, there, s)
+        gained = before - _tempered(prior, state.theta + step, there, s)
         if gained > 0:
             state, white = _State(state.theta + step, cost, residual), there
             own = columns_at(state.theta)

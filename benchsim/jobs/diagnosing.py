@@ -26,9 +26,6 @@ from benchsim.jobs.workers import Workers, workers
 from benchsim.report import diagnosis_pictures as pictures
 from benchsim.report.diagnosis_text import About, summary
 
-FEWEST_SETTINGS = 3
-"""Below it none can be left out."""
-
 MOST_LOCATED = 4
 """Photographs in which stretches are drawn: those of the most significant."""
 

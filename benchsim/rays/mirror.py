@@ -260,28 +260,6 @@ def reflect(direction: Array, normal: Array) -> Array:
     return direction - (2.0 * dot(direction, normal))[..., None] * normal
 
 
-def meet_facet_plane(placement: Placement, radius: float, normal: Array, point: Array, direction: Array) -> Array:
-    """Where one ray meets the turning facet's plane n·(X − C) = r.
-
-    Parameters
-    ----------
-    placement : Placement
-    radius : float
-        r [mm].
-    normal : (..., 3) array
-        The facet's normals.
-    point, direction : (3,) array
-        The ray.
-
-    Returns
-    -------
-    (..., 3) ndarray [mm]
-        Infinite or NaN where the ray runs along the plane.
-    """
-    s = (radius - dot(normal, point - placement.centre)) / dot(normal, direction)
-    return point + outer(s, direction)
-
-
 def refracted(direction: Array, normal: Array, index: float = GLASS) -> tuple[Array, Array, Array]:
     """Snell's law for light that enters a medium of the index from air.
 
