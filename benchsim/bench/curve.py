@@ -61,13 +61,14 @@ def signed_distance(curve: Curve, points: Array) -> tuple[Array, Array]:
 
 
 def signed_distances(curves: Array, points: Array, values: Array | None = None) -> tuple[Array, Array, Array | None]:
-    """`signed_distance` of the same points from many curves at once.
+    """`signed_distance` of points from many curves at once.
 
     Parameters
     ----------
     curves : (curve, n, 2) array [mm]
         Points along each.
-    points : (m, 2) array [mm]
+    points : (m, 2) or (curve, m, 2) array [mm]
+        The same for all curves, or each curve's own.
     values : (curve, n, k) array, optional
         Given along the curves, wanted at the feet, by cubic splines in the arc length.
 
@@ -81,8 +82,8 @@ def signed_distances(curves: Array, points: Array, values: Array | None = None) 
     np.cumsum(np.sqrt(steps[..., 0] ** 2 + steps[..., 1] ** 2), axis=1, out=knots[:, 1:])
     coefficients = _splines(knots, curves if values is None else np.concatenate([curves, values], axis=2))
     target = np.asarray(points, float)
-    py, pz = target[:, 0], target[:, 1]
-    far = (py[:, None] - curves[:, None, :, 0]) ** 2 + (pz[:, None] - curves[:, None, :, 1]) ** 2
+    py, pz = target[..., 0], target[..., 1]
+    far = (py[..., None] - curves[:, None, :, 0]) ** 2 + (pz[..., None] - curves[:, None, :, 1]) ** 2
     s = np.take_along_axis(knots, np.argmin(far, axis=2), axis=1)
     # One growing list of all knots: each curve's are moved beyond those of the one before.
     apart = (np.arange(len(knots)) * (2.0 * knots[:, -1].max() + 1.0))[:, None]

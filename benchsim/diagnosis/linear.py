@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,8 @@ from benchsim.diagnosis.problem import Parameter, Problem, Values
 Array = NDArray[np.float64]
 
 
-TOGETHER = 64
-"""Most values of one block in one task: few enough that cores share the work evenly."""
+TOGETHER = 32
+"""Most predictions in one task: few enough that cores share the work evenly, enough that more would gain little."""
 
 
 @dataclass(frozen=True)
@@ -181,23 +182,16 @@ def columns_at(
 def predictions(problem: Problem, values: Sequence[Values], blocks: Sequence[int]) -> list[Array]:
     """Predictions for values and the block of each, in their order, through `Problem.spread`.
 
-    Where the prediction takes lists (it has ``many``), those of one block go together, which is several times cheaper.
+    Where the prediction takes lists (it has ``many``), it is given lists of values and of their blocks, which is
+    several times cheaper.
     """
     if not hasattr(problem.predict, "many"):
         return list(problem.spread(problem.predict, values, blocks))
-    by_block: dict[int, list[int]] = {}
-    for i, b in enumerate(blocks):
-        by_block.setdefault(int(b), []).append(i)
-    parts: list[tuple[int, list[int]]] = []
-    for b, members in by_block.items():
-        count = -(-len(members) // TOGETHER)
-        parts += [(b, [int(i) for i in part]) for part in np.array_split(members, count)]
-    lists = [[values[i] for i in part] for _, part in parts]
-    out: list[Array] = [np.zeros(0)] * len(values)
-    for (_, part), found in zip(parts, problem.spread(problem.predict, lists, [b for b, _ in parts]), strict=True):
-        for i, f in zip(part, found, strict=True):
-            out[i] = f
-    return out
+    count = max(1, -(-len(values) // TOGETHER))
+    ends = [len(values) * k // count for k in range(count + 1)]
+    parts = [slice(*pair) for pair in pairwise(ends)]
+    lists, numbers = [list(values[p]) for p in parts], [[int(b) for b in blocks[p]] for p in parts]
+    return [f for found in problem.spread(problem.predict, lists, numbers) for f in found]
 
 
 def predict_all(problem: Problem, at: Values) -> Array:

@@ -167,8 +167,8 @@ class Problem:
     catalogue : tuple of Effect
     predict : callable
         predict(values, block) → (n_b,) of the block. Must be a pure function of picklable arguments. Where it has an
-        attribute ``many``, it also takes a list of values and gives the list of their predictions; call it by
-        `linear.predictions`, which makes use of that.
+        attribute ``many``, it also takes a list of values and one of their blocks, and gives the list of their
+        predictions; call it by `linear.predictions`, which makes use of that.
     attachments : tuple of Attachment
     further : callable or None
         Called only when something is open: gives what could be recorded next.

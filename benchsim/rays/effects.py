@@ -6,8 +6,9 @@ alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
@@ -58,7 +59,12 @@ def check(recording: Recording) -> None:
                 )
 
 
-def elements(recording: Recording, exposure: Exposure, shape: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Elements:
+def elements(
+    recording: Recording,
+    exposure: Exposure,
+    shape: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    shared: dict[Hashable, Any] | None = None,
+) -> Elements:
     """The elements of one exposure, from the recording's effects and fields.
 
     Parameters
@@ -67,22 +73,35 @@ def elements(recording: Recording, exposure: Exposure, shape: tuple[float, float
     exposure : Exposure
     shape : (c4, e_plus, e_cross)
         Log-density of the beam's profile over the Gaussian, see `laser.SourceEffects`.
+    shared : dict, optional
+        Elements that are found here are not worked out again, and what is, is kept here: for calls with several
+        exposures of recordings that outlive it.
 
     Raises
     ------
     BenchsimError
         As `check`, and for values that an element cannot take.
     """
-    check(recording)
     tables, fields = recording.effects, recording.fields
+    known: dict[Hashable, Any] = {} if shared is None else shared
+    gated = exposure.facet is not None
     try:
-        return Elements(
-            laser.effects(tables, fields, exposure, shape),
-            mirror.effects(tables, fields, recording.mirror, gated=exposure.facet is not None),
-            air.effects(tables, fields),
-            screen.effects(tables, fields),
-            timing.effects(tables, fields, recording, exposure),
-            diffraction.effects(tables),
-        )
+        if (id(recording), gated) not in known:
+            check(recording)
+            known[id(recording), gated] = (
+                mirror.effects(tables, fields, recording.mirror, gated=gated),
+                air.effects(tables, fields),
+                screen.effects(tables, fields),
+            )
+        beam = laser.effects(tables, fields, exposure, shape)
+        moved = timing.effects(tables, fields, recording, exposure)
+        # The same object where it is equal: what is the same need not be stacked.
+        beam, moved = known.setdefault(beam, beam), known.setdefault(moved, moved)
+        polygon, way, board = known[id(recording), gated]
+        key = tuple(id(part) for part in (beam, polygon, way, board, moved))
+        if key not in known:
+            known[key] = Elements(beam, polygon, way, board, moved, diffraction.effects(tables))
+        found: Elements = known[key]
+        return found
     except BenchsimError as error:
         raise BenchsimError(f"{recording.path.name}: {error}") from None

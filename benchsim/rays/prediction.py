@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Physics, Recording
-from benchsim.bench.place import SettingErrors, place
+from benchsim.bench.place import Placement, SettingErrors, place, places
 from benchsim.rays import stack
 from benchsim.rays.curve import tangents, trace, traces
 from benchsim.rays.effects import Elements, elements
@@ -24,6 +25,7 @@ from benchsim.rays.width import widths
 
 Array = NDArray[np.float64]
 Shape = tuple[float, float, float]
+Case = tuple[Recording, Exposure, SettingErrors | None, Shape]
 
 TOGETHER = 16
 """Most cases worked out together: beyond, the arrays outgrow a processor's cache and nothing more is gained."""
@@ -33,11 +35,11 @@ def bench_of(
     recording: Recording, exposure: Exposure, errors: SettingErrors | None = None, shape: Shape = (0.0, 0.0, 0.0)
 ) -> Bench:
     """The bench of one exposure with the recording's effects and fields; see `predict`."""
-    return _bench(recording, exposure, errors, elements(recording, exposure, shape))
+    return _bench(recording, exposure, place(recording.mirror, exposure, errors), elements(recording, exposure, shape))
 
 
-def _bench(recording: Recording, exposure: Exposure, errors: SettingErrors | None, parts: Elements) -> Bench:
-    placement = parts.turned(place(recording.mirror, exposure, errors))
+def _bench(recording: Recording, exposure: Exposure, stands: Placement, parts: Elements) -> Bench:
+    placement = parts.turned(stands)
     return Bench(
         recording.laser, recording.mirror, recording.physics, recording.screen, placement, exposure.facet, parts
     )
@@ -89,16 +91,14 @@ def predict(
         raise BenchsimError(f"{exposure.name}: {error}") from None
 
 
-def predict_many(
-    cases: Sequence[tuple[Recording, Exposure, SettingErrors | None, Shape]], samples: int = 96, *, width: bool = True
-) -> list[Curve | None]:
+def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True) -> list[Curve | None]:
     """`predict` of many cases, worked out together where their benches differ in numbers alone: several times cheaper.
 
     Parameters
     ----------
     cases : sequence of (recording, exposure, errors, shape)
-        As of `predict`. Cases of one exposure and of equal or no effects gain most; second surfaces, free fields,
-        single rays and physics mixed by amplitudes gain nothing.
+        As of `predict`, of any exposures. Cases of equal or no effects gain most; second surfaces, free fields, single
+        rays and physics mixed by amplitudes gain nothing.
     samples, width
         As `predict`.
 
@@ -113,13 +113,14 @@ def predict_many(
         For an effect, a parameter or a value that an element cannot take.
     """
     known: dict[Hashable, Elements] = {}
+    shared: dict[Hashable, Any] = {}
     benches = []
-    for recording, exposure, errors, shape in cases:
+    for (recording, exposure, _, shape), stands in zip(cases, _stand(cases), strict=True):
         # By identity: recordings hold tables, which are compared slowly. The cases keep them alive.
         key = id(recording), id(exposure), shape
         if key not in known:
-            known[key] = elements(recording, exposure, shape)
-        benches.append(_bench(recording, exposure, errors, known[key]))
+            known[key] = elements(recording, exposure, shape, shared)
+        benches.append(_bench(recording, exposure, stands, known[key]))
     out: list[Curve | None] = [None] * len(benches)
     for group in stack.groups(benches, TOGETHER):
         if len(group) > 1:
@@ -129,6 +130,17 @@ def predict_many(
         for i, curve in zip(group, found, strict=True):
             out[i] = curve
     return out
+
+
+def _stand(cases: Sequence[Case]) -> list[Placement]:
+    """Placements of cases."""
+    by_mirror: dict[int, list[int]] = {}
+    for i, case in enumerate(cases):
+        by_mirror.setdefault(id(case[0].mirror), []).append(i)
+    out: dict[int, Placement] = {}
+    for members in by_mirror.values():
+        out.update(zip(members, places(cases[members[0]][0].mirror, [cases[i][1:3] for i in members]), strict=True))
+    return [out[i] for i in range(len(cases))]
 
 
 def _or_none(bench: Bench, samples: int, *, width: bool) -> Curve | None:

@@ -70,12 +70,20 @@ def groups(benches: Sequence[Bench], most: int) -> list[list[int]]:
     """Numbers of benches that are worked out together, at most ``most`` in a group; alone what cannot be stacked."""
     out: list[list[int]] = []
     like: dict[Hashable, dict[Hashable, list[int]]] = {}
+    # Most benches of a list have the same parts and are asked about once.
+    known: dict[Hashable, tuple[Hashable | None, Hashable]] = {}
     for i, bench in enumerate(benches):
-        key = alike(bench)
+        same = (
+            *(id(part) for part in (bench.laser, bench.mirror, bench.physics, bench.screen, bench.parts)),
+            bench.facet,
+        )
+        if same not in known:
+            known[same] = alike(bench), active(bench)
+        key, effects = known[same]
         if key is None:
             out.append([i])
         else:
-            like.setdefault(key, {}).setdefault(active(bench), []).append(i)
+            like.setdefault(key, {}).setdefault(effects, []).append(i)
     for by_effects in like.values():
         rest: list[int] = []
         for members in by_effects.values():

@@ -1,4 +1,4 @@
-"""Predictions of the bench in lists: the same numbers, for every parameter, in workers too."""
+"""Predictions of the bench in lists: the same numbers, for every parameter and of mixed blocks, in workers too."""
 
 from __future__ import annotations
 
@@ -51,8 +51,23 @@ def test_a_list_may_hold_values_without_light_and_values_that_no_element_takes(p
     np.testing.assert_allclose(canted, problem.predict({"pyr": 1.0}, 0), atol=1e-9)
 
 
-def test_columns_are_shared_out_by_block_and_can_be_sent_to_workers(problem):
-    """`linear.columns` hands whole lists to `spread`, whose function and arguments travel as pickles."""
+def test_lists_of_mixed_blocks_give_what_single_values_give(problem):
+    values = [v for v in many_values(problem)[::4] for _ in problem.names]
+    blocks = list(range(len(problem.names))) * (len(values) // len(problem.names))
+    for v, b, many in zip(values, blocks, problem.predict(values, blocks), strict=True):
+        np.testing.assert_allclose(many, problem.predict(v, b), atol=1e-9)
+
+
+def test_what_a_short_list_has_found_is_kept_for_what_does_not_bear_on_the_light(problem):
+    problem.predict.cache.clear()
+    blocks = range(len(problem.names))
+    linear.predict_all(problem, {"pyr": 1.0})
+    found = [problem.predict.light({"pyr": 1.0, "k1": 0.1}, b, problem.predict.truth({"pyr": 1.0})) for b in blocks]
+    assert all(curve is kept for curve, kept in zip(found, problem.predict.cache.values(), strict=True))
+
+
+def test_columns_are_shared_out_evenly_and_can_be_sent_to_workers(problem, monkeypatch):
+    """`linear.columns` hands lists of mixed blocks to `spread`, whose function and arguments travel as pickles."""
     asked = []
 
     def spread(function, *arguments):
@@ -61,6 +76,7 @@ def test_columns_are_shared_out_by_block_and_can_be_sent_to_workers(problem):
         asked.extend(len(values) for values, _ in tasks)
         return [sent(*pickle.loads(pickle.dumps(task))) for task in tasks]
 
+    monkeypatch.setattr(linear, "TOGETHER", 5)
     parameters = problem.nuisances[:9]
     want = linear.columns(replace(problem, predict=lambda v, b: problem.predict(v, b)), {}, parameters)
     got = linear.columns(replace(problem, spread=spread), {}, parameters)
@@ -70,4 +86,5 @@ def test_columns_are_shared_out_by_block_and_can_be_sent_to_workers(problem):
     steps = np.array([0.1 * p.sigma for p in parameters])
     assert (np.abs(got - want) < 3e-9 / steps).all()
     blocks = sum(2 * (2 if p.blocks is None else len(p.blocks)) for p in parameters)
-    assert sum(asked) == blocks and len(asked) == 2
+    assert sum(asked) == blocks > 5
+    assert max(asked) <= 5 and max(asked) - min(asked) <= 1

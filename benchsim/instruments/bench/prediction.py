@@ -2,14 +2,14 @@
 
 A frozen object of plain data, so that worker processes can be handed it. The light's part (`rays.predict`) is kept
 for the last values of what bears on the light: parameters of camera, print and detector are then nearly free.
-Lists of values of one block (`Predict.many`) are worked out together.
+Lists of values (`Predict.many`) are worked out together, whatever their blocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,24 @@ class Block:
         return self.observed.view.camera.name
 
 
+class Asked(NamedTuple):
+    """A prediction that is wanted: values, the number of the block, and the bench that they make."""
+
+    values: Mapping[str, float]
+    block: int
+    truth: Recording
+
+
+class Seen(NamedTuple):
+    """A trace as it is measured: (samples, 2) mm, the marks' residuals (m, 2) px, and the curve on the true board."""
+
+    values: Mapping[str, float]
+    block: Block
+    points: Array
+    residual: Array
+    curve: Curve
+
+
 @dataclass(frozen=True)
 class Predict:
     """predict(values, block) of the bench; see `problem.build`.
@@ -118,22 +136,32 @@ class Predict:
     @overload
     def __call__(self, values: Mapping[str, float], block: int) -> Array: ...
     @overload
-    def __call__(self, values: Sequence[Mapping[str, float]], block: int) -> list[Array]: ...
-    def __call__(self, values: Mapping[str, float] | Sequence[Mapping[str, float]], block: int) -> Array | list[Array]:
+    def __call__(self, values: Sequence[Mapping[str, float]], block: int | Sequence[int]) -> list[Array]: ...
+    def __call__(
+        self, values: Mapping[str, float] | Sequence[Mapping[str, float]], block: int | Sequence[int]
+    ) -> Array | list[Array]:
         """Prediction (n_b,) of a block: c, w, f, m; ``FAR`` away where the light misses the board. Of lists: `many`."""
-        return self.many([values], block)[0] if isinstance(values, Mapping) else self.many(values, block)
+        if isinstance(values, Mapping):
+            assert not isinstance(block, Sequence)
+            return self.many([values], block)[0]
+        return self.many(values, block)
 
-    def many(self, values: Sequence[Mapping[str, float]], block: int) -> list[Array]:
-        """Predictions of one block for many values: several times cheaper each than one alone."""
+    def many(self, values: Sequence[Mapping[str, float]], block: int | Sequence[int]) -> list[Array]:
+        """Predictions for many values, all of one block or each of its own: several times cheaper each than alone."""
+        blocks = block if isinstance(block, Sequence) else [block] * len(values)
         # Values that bear on the same physics share one recording, and all that is worked out of it.
         truths: dict[Any, Recording] = {}
-        chosen = []
+        # The same values are often asked of several blocks.
+        known: dict[int, Recording] = {}
         for v in values:
+            if id(v) in known:
+                continue
             key = tuple((k, x) for k, x in v.items() if x and (k in self.owners or k in BEAM[:2]))
             if key not in truths:
                 truths[key] = self.truth(v)
-            chosen.append(truths[key])
-        return self._beyond(values, block, chosen, self._lights(values, block, chosen))
+            known[id(v)] = truths[key]
+        asked = [Asked(v, int(b), known[id(v)]) for v, b in zip(values, blocks, strict=True)]
+        return self._beyond(asked, self._lights(asked))
 
     def light(self, values: Mapping[str, float], block: int, truth: Recording) -> Curve:
         """The trace on the true board, kept for the last values.
@@ -145,48 +173,56 @@ class Predict:
         """
         key = self._key(values, block)
         if key not in self.cache:
-            recording, exposure, off, shape = self._case(values, block, truth)
+            recording, exposure, off, shape = self._case(Asked(values, block, truth))
             width = self.blocks[block].response is not None
             self._keep(key, rays.predict(recording, exposure, off, SAMPLES, width=width, shape=shape))
         return self.cache[key]
 
-    def _lights(
-        self, values: Sequence[Mapping[str, float]], block: int, truths: Sequence[Recording]
-    ) -> list[Curve | None]:
-        """`light` of many values; None where it misses the board."""
-        keys = [self._key(v, block) for v in values]
+    def _lights(self, asked: Sequence[Asked]) -> list[Curve | None]:
+        """`light` of many; None where it misses the board."""
+        known = {id(a.values): self._bearing(a.values) for a in asked}
+        keys = [(a.block, known[id(a.values)]) for a in asked]
         found: dict[Any, Curve | None] = {key: self.cache[key] for key in keys if key in self.cache}
-        wanted = {key: (v, t) for key, v, t in zip(keys, values, truths, strict=True) if key not in found}
-        if len(wanted) > 1:
-            cases = [self._case(v, block, t) for v, t in wanted.values()]
+        wanted = {key: a for key, a in zip(keys, asked, strict=True) if key not in found}
+        for width in (False, True):
+            some = {key: a for key, a in wanted.items() if (self.blocks[a.block].response is not None) == width}
+            if len(some) < 2:
+                continue
             try:
-                curves = rays.predict_many(cases, SAMPLES, width=self.blocks[block].response is not None)
-                found.update(zip(wanted, curves, strict=True))
-                wanted = {}
+                curves = rays.predict_many([self._case(a) for a in some.values()], SAMPLES, width=width)
             except BenchsimError:
                 # One of them holds a value that an element cannot take.
-                pass
-        for key, (v, t) in wanted.items():
+                continue
+            found.update(zip(some, curves, strict=True))
+            if len(some) <= len(self.blocks):
+                for key, curve in zip(some, curves, strict=True):
+                    if curve is not None:
+                        self._keep(key, curve)
+        for key, a in wanted.items():
+            if key in found:
+                continue
             try:
-                found[key] = self.light(v, block, t)
+                found[key] = self.light(a.values, a.block, a.truth)
             except BenchsimError:
                 found[key] = None
         return [found[key] for key in keys]
 
     def _key(self, values: Mapping[str, float], block: int) -> Any:
-        return block, tuple(sorted((k, v) for k, v in values.items() if v and k not in self.aside))
+        return block, self._bearing(values)
+
+    def _bearing(self, values: Mapping[str, float]) -> frozenset[tuple[str, float]]:
+        """What of the values bears on the light."""
+        return frozenset((k, v) for k, v in values.items() if v and k not in self.aside)
 
     def _keep(self, key: Any, curve: Curve) -> None:
         while len(self.cache) >= 2 * len(self.blocks):
             self.cache.pop(next(iter(self.cache)))
         self.cache[key] = curve
 
-    def _case(
-        self, values: Mapping[str, float], block: int, truth: Recording
-    ) -> tuple[Recording, Exposure, SettingErrors, tuple[float, float, float]]:
-        b = self.blocks[block]
-        c4, plus, cross = (values.get(name, 0.0) for name in SHAPES)
-        return truth, truth.exposures[b.observed.index], errors(values, b.setting), (c4, plus, cross)
+    def _case(self, a: Asked) -> tuple[Recording, Exposure, SettingErrors, tuple[float, float, float]]:
+        b = self.blocks[a.block]
+        c4, plus, cross = (a.values.get(name, 0.0) for name in SHAPES)
+        return a.truth, a.truth.exposures[b.observed.index], errors(a.values, b.setting), (c4, plus, cross)
 
     def beyond(
         self, values: Mapping[str, float], block: int, truth: Recording, curve: Curve, shift: Array | None = None
@@ -204,32 +240,27 @@ class Predict:
         shift : (samples, 2) array, optional
             Added to the trace on the board [mm].
         """
-        return self._beyond([values], block, [truth], [curve], shift)[0]
+        return self._beyond([Asked(values, block, truth)], [curve], shift)[0]
 
     def _beyond(
-        self,
-        values: Sequence[Mapping[str, float]],
-        block: int,
-        truths: Sequence[Recording],
-        curves: Sequence[Curve | None],
-        shift: Array | None = None,
+        self, asked: Sequence[Asked], curves: Sequence[Curve | None], shift: Array | None = None
     ) -> list[Array]:
-        """`beyond` of many values; `FAR` where there is no curve."""
-        b = self.blocks[block]
-        out = [np.full(size(b), FAR) for _ in values]
-        seen: dict[int, list[tuple[int, Array, Array, Curve]]] = {}
-        for i, (v, truth, curve) in enumerate(zip(values, truths, curves, strict=True)):
+        """`beyond` of many; `FAR` where there is no curve."""
+        out: dict[int, Array] = {}
+        seen: dict[Any, list[tuple[int, Seen]]] = {}
+        for i, (a, curve) in enumerate(zip(asked, curves, strict=True)):
             if curve is None:
                 continue
-            points, residual = self._seen(v, b, truth, curve.points if shift is None else curve.points + shift)
+            b = self.blocks[a.block]
+            points, residual = self._seen(a.values, b, a.truth, curve.points if shift is None else curve.points + shift)
             if np.isfinite(points).all():
-                seen.setdefault(len(points), []).append((i, points, residual, curve))
-        for alike in seen.values():
-            for first in range(0, len(alike), TOGETHER):
-                some = alike[first : first + TOGETHER]
-                for (i, *_), data in zip(some, self._data(b, values, some), strict=True):
-                    out[i] = data
-        return out
+                alike = len(points), len(b.observed.points), len(b.observed.profile_points), b.response is None
+                seen.setdefault(alike, []).append((i, Seen(a.values, b, points, residual, curve)))
+        for members in seen.values():
+            for first in range(0, len(members), TOGETHER):
+                some = members[first : first + TOGETHER]
+                out.update(zip((i for i, _ in some), _data([s for _, s in some]), strict=True))
+        return [out[i] if i in out else np.full(size(self.blocks[a.block]), FAR) for i, a in enumerate(asked)]
 
     def _seen(self, values: Mapping[str, float], b: Block, truth: Recording, points: Array) -> tuple[Array, Array]:
         """Coordinates in which light at true places of the board is measured, and what the marks show of it."""
@@ -238,31 +269,6 @@ class Predict:
             return points, np.zeros((len(b.kept), 2))
         level = np.interp(np.linspace(0, 1, len(points)), np.linspace(0, 1, len(b.level)), b.level)
         return chain.measured(truth, b.observed.view, points, level, camera)
-
-    def _data(
-        self, b: Block, values: Sequence[Mapping[str, float]], seen: Sequence[tuple[int, Array, Array, Curve]]
-    ) -> list[Array]:
-        """The block's data of measured curves of equal length."""
-        o, r = b.observed, b.response
-        points = np.stack([p for _, p, _, _ in seen])
-        residuals = [residual[b.kept].ravel() for _, _, residual, _ in seen]
-        if r is None:
-            distance = signed_distances(points, o.points)[0]
-            return [np.concatenate([b.offset - d, m]) for d, m in zip(distance, residuals, strict=True)]
-        light = np.stack([np.stack([_width(c) ** 2, np.log(np.maximum(_flux(c), 1e-30))], axis=1) for *_, c in seen])
-        distance, _, at = signed_distances(points, np.concatenate([o.points, o.profile_points]), light)
-        assert at is not None
-        n = len(o.points)
-        out = []
-        for k, (i, *_) in enumerate(seen):
-            blur = values[i].get(f"{b.camera}.blur", 0.0)
-            more = ((1 + blur) ** 2 - 1) * (o.blur * o.mm_per_px) ** 2
-            wide = r.at + r.slope * (at[k, n:, 0] - r.light) + r.by_blur * more
-            # Its level is the gain's alone: whatever of it geometry could change, quadratically, would only be undone.
-            flux = at[k, n:, 1]
-            flux = flux - flux.mean() + values[i].get(f"{o.name}.gain", 0.0)
-            out.append(np.concatenate([b.offset - distance[k, :n], wide, flux, residuals[k]]))
-        return out
 
     def truth(self, values: Mapping[str, float]) -> Recording:
         """The bench with the hypothesis' effects added to the file's, and the laser's nuisances."""
@@ -303,14 +309,36 @@ class Predict:
         )
 
 
-def _width(curve: Curve) -> Array:
-    assert curve.width is not None
-    return curve.width
-
-
-def _flux(curve: Curve) -> Array:
-    assert curve.flux is not None
-    return curve.flux
+def _data(seen: Sequence[Seen]) -> list[Array]:
+    """The data of measured curves of equal length, held against as many points each, of blocks with a response each or
+    none."""
+    points = np.stack([s.points for s in seen])
+    marks = [s.residual[s.block.kept].ravel() for s in seen]
+    targets = np.stack([s.block.observed.points for s in seen])
+    if seen[0].block.response is None:
+        distance = signed_distances(points, targets)[0]
+        return [np.concatenate([s.block.offset - d, m]) for s, d, m in zip(seen, distance, marks, strict=True)]
+    light: Array = np.empty((*points.shape[:2], 2))
+    light[..., 0] = [s.curve.width for s in seen]
+    light[..., 1] = [s.curve.flux for s in seen]
+    light[..., 0] **= 2
+    np.log(np.maximum(light[..., 1], 1e-30), out=light[..., 1])
+    profiles = np.stack([s.block.observed.profile_points for s in seen])
+    distance, _, at = signed_distances(points, np.concatenate([targets, profiles], axis=1), light)
+    assert at is not None
+    n = targets.shape[1]
+    out = []
+    for s, d, here, m in zip(seen, distance, at, marks, strict=True):
+        o, r = s.block.observed, s.block.response
+        assert r is not None
+        blur = s.values.get(f"{s.block.camera}.blur", 0.0)
+        more = ((1 + blur) ** 2 - 1) * (o.blur * o.mm_per_px) ** 2
+        wide = r.at + r.slope * (here[n:, 0] - r.light) + r.by_blur * more
+        # Its level is the gain's alone: whatever of it geometry could change, quadratically, would only be undone.
+        flux = here[n:, 1]
+        flux = flux - flux.mean() + s.values.get(f"{o.name}.gain", 0.0)
+        out.append(np.concatenate([s.block.offset - d[:n], wide, flux, m]))
+    return out
 
 
 def errors(values: Mapping[str, float], setting: tuple[str, ...]) -> SettingErrors:
