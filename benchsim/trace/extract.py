@@ -15,6 +15,7 @@ from benchsim.bench.model import Camera, Exposure, Recording, Screen
 from benchsim.trace.image import Photograph, read_image
 from benchsim.trace.line import Line, measure_line
 from benchsim.trace.marks import board_corners, find_marks
+from benchsim.trace.motion import taken_back
 from benchsim.trace.picture import (
     CROSSING,
     FAINT,
@@ -111,7 +112,7 @@ def measure(
     Parameters
     ----------
     photograph, dark : Photograph
-        ``dark`` (or None) has the same pose, room light and exposure time.
+        ``dark`` (or None) has the same room light and exposure time, and the same pose but for ``pose.motion``.
     pose : Pose
     screen : Screen
     blur : float
@@ -128,6 +129,8 @@ def measure(
     BenchsimError
         No trace, or too little of it.
     """
+    if dark is not None and pose.motion is not None:
+        dark = taken_back(dark, pose.motion)
     picture = _picture(photograph, dark, _blocked(photograph, pose, screen, blur))
     lines, dropped_status, dropped_px = _lines(photograph.name, picture, ridges)
     parts = [_on_board(line, pose) for line in lines]

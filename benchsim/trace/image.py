@@ -27,8 +27,20 @@ FALSE_ALARM_SIGMA = 5.0
 JPEG_COUNTS = 3.0
 """A saturated pixel may come back from JPEG this many counts lower (rounded coefficients, quality 85 and better)."""
 
+MOST_FLOODED = 0.8
+"""A channel in which more of the line than this has a saturated crest is taken only if no other shows the line: its
+shape must be known from the rest."""
+
+TILE = 32
+"""Side of the tiles by which that is judged [px]."""
+
+DIM = 0.3
+"""Tiles whose brightest laser light is below this share of the brightest of all are not of the line."""
+
 _CHANNELS = ("blue", "green", "red")
 _SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
+_HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1", b"avif")
+"""Brands of ISO/IEC 23008-12 and of AV1 pictures in the box ``ftyp`` that such a file begins with."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +116,7 @@ def read_image(path: str | Path, camera: Camera, *, dark: bool = False, channel:
     EXIF orientation is not applied: pixels are those of the sensor, as the camera's calibration means them.
     """
     path = Path(path)
-    counts, lossy = _decode(path)
+    counts, lossy = read_counts(path)
     _check_format(path.name, counts, camera)
     level = camera.saturation_level - (JPEG_COUNTS if lossy else 0.0)
     if counts.ndim == 2 or counts.shape[2] < 3:
@@ -134,8 +146,16 @@ def read_image(path: str | Path, camera: Camera, *, dark: bool = False, channel:
     )
 
 
-def _decode(path: Path) -> tuple[NDArray, bool]:
-    """Counts as they stand in the file, and whether it is a JPEG."""
+def read_counts(path: Path) -> tuple[NDArray, bool]:
+    """Counts as they stand in the file, rows by columns (by blue, green, red), and whether it is a JPEG.
+
+    EXIF orientation is not applied.
+
+    Raises
+    ------
+    BenchsimError
+        If the file is no PNG, TIFF or JPEG, or is damaged; of HEIC it says how to get a JPEG.
+    """
     if not path.exists():
         raise BenchsimError(f"{path.name}: not there (looked in {path.parent}); add the image or mend its name")
     try:
@@ -144,6 +164,11 @@ def _decode(path: Path) -> tuple[NDArray, bool]:
         raise BenchsimError(f"{path.name}: cannot be read ({error.strerror}); check its permissions") from None
     if not data:
         raise BenchsimError(f"{path.name}: an empty file; copy the image again")
+    if data[4:8] == b"ftyp" and data[8:12] in _HEIF_BRANDS:
+        raise BenchsimError(
+            f"{path.name}: a HEIC (or AVIF) picture, which is not read; export it as JPEG in full size, and set the "
+            "phone to JPEG before the next (iPhone: Settings, Camera, Formats, Most Compatible)"
+        )
     if not data.startswith(_SIGNATURES):
         raise BenchsimError(f"{path.name}: not an image; give a PNG, TIFF or JPEG")
     lossy = data.startswith(b"\xff\xd8\xff")
@@ -168,6 +193,11 @@ def _check_format(name: str, counts: NDArray, camera: Camera) -> None:
     h, w = counts.shape[:2]
     if (w, h) != camera.resolution:
         stated = f"{camera.resolution[0]} × {camera.resolution[1]}"
+        if (h, w) == camera.resolution:
+            raise BenchsimError(
+                f"{name}: {w} × {h} pixels, but camera {camera.name} has resolution_px {stated}: the picture was "
+                "turned by a quarter; give the file as the camera wrote it, whatever its EXIF orientation says"
+            )
         raise BenchsimError(
             f"{name}: {w} × {h} pixels, but camera {camera.name} has resolution_px {stated}; mend the key (and the "
             "calibration with it) or give the picture as the camera took it"
@@ -244,8 +274,23 @@ def _choose(light: dict[str, Image], saturated: dict[str, Mask]) -> tuple[str, s
         for_trace[c] = _information(_steps(laser[c]), noise[c], good & lit)
         for_marks[c] = _information(_steps(light[c]), noise[c], good & ~lit)
     marks = max(for_marks, key=for_marks.__getitem__)
-    trace = max(for_trace, key=for_trace.__getitem__)
+    clear = [c for c in for_trace if for_trace[c] > 0 and not _flooded(laser[c], saturated[c])]
+    trace = max(clear or for_trace, key=for_trace.__getitem__)
     return (trace if for_trace[trace] > 0 else marks), marks
+
+
+def _flooded(laser: Image, saturated: Mask) -> bool:
+    """Whether the line is saturated all along, so that its shape cannot be known from this channel.
+
+    Judged by tiles, whichever way the line runs; tiles without it are dim.
+    """
+    h, w = (n - n % TILE for n in laser.shape)
+    if min(h, w) == 0:
+        return False
+    brightest = laser[:h, :w].reshape(h // TILE, TILE, w // TILE, TILE).max(axis=(1, 3))
+    clipped = (saturated & (laser > 0))[:h, :w].reshape(h // TILE, TILE, w // TILE, TILE).any(axis=(1, 3))
+    crest = brightest > DIM * brightest.max()
+    return bool(clipped[crest].mean() > MOST_FLOODED)
 
 
 def _information(steps: Image, noise: float, use: Mask) -> float:

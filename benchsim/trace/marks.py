@@ -76,6 +76,8 @@ class MarkObservations:
         Ids that were found but are not used, and why.
     gamma : float, or None
         Guess of a gamma that the recording does not know.
+    motion : (3, 3), or None
+        Homography to the pixels of the dark picture, where the camera moved in between; see `motion.motion`.
     """
 
     name: str
@@ -89,6 +91,7 @@ class MarkObservations:
     unknown: tuple[int, ...] = ()
     dropped: tuple[tuple[int, str], ...] = ()
     gamma: float | None = None
+    motion: Array | None = None
 
 
 def board_corners(marks: Marks) -> Array:

@@ -20,6 +20,7 @@ from benchsim.bench.model import Camera
 from benchsim.trace.edges import OUTLIER_SIGMA
 from benchsim.trace.lens import distort, distortion_jacobian, undistort
 from benchsim.trace.marks import FEWEST_MARKS, MarkObservations
+from benchsim.trace.motion import motion
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,8 @@ class Pose:
         Ids of the others: they contradict the rest.
     rms : float
         Of the measured corners of the marks used [px].
+    motion : (3, 3), or None
+        As in the observations: of the dark picture, against the photograph whose pose this is.
     """
 
     rotation: Array
@@ -63,6 +66,7 @@ class Pose:
     used: NDArray[np.bool_]
     set_aside: tuple[int, ...]
     rms: float
+    motion: Array | None = None
 
     @property
     def position(self) -> Array:
@@ -140,11 +144,18 @@ def solve_pose(
         used=used,
         set_aside=tuple(int(i) for i in observations.ids[~used]),
         rms=float(np.sqrt((residuals[counted] ** 2).mean())),
+        motion=observations.motion,
     )
 
 
 def join(first: MarkObservations, second: MarkObservations) -> MarkObservations:
-    """Marks of two pictures of one pose, such as a photograph and its dark: their noise is independent."""
+    """Marks of a photograph and of its dark picture: of one pose, their noise is independent.
+
+    Where the camera moved in between, the marks are the first's alone, and say how it moved.
+    """
+    moved = motion(first, second)
+    if moved is not None:
+        return replace(first, motion=moved)
     return MarkObservations(
         name=first.name,
         ids=np.concatenate([first.ids, second.ids]),

@@ -105,6 +105,28 @@ def test_the_trace_is_taken_from_the_channel_that_shows_it_best(tmp_path):
     assert read_image(tmp_path / "b.png", cam, channel="red").saturated.any()
 
 
+def test_a_channel_saturated_all_along_the_line_is_left(tmp_path):
+    """Rationale: flanks of a flooded red line hold more light than the faint green one, but the shape of a crest that
+    is saturated everywhere cannot be known. Red stays where half of the line is free."""
+    cam = camera(bit_depth=8, saturation_level=255.0)
+    flooded = read_image(save(tmp_path / "a.png", counts(colour(1.5, 0.3), 8)), cam)
+    assert flooded.channel == "green" and not flooded.saturated.any()
+    half = colour(1.5, 0.3)
+    half[: H // 2] = colour(0.5, 0.1)[: H // 2]
+    assert read_image(save(tmp_path / "b.png", counts(half, 8)), cam).channel == "red"
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_pixels_are_the_sensors_whatever_exif_says(tmp_path, orientation):
+    from PIL import Image
+
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(counts(scene(), 8)).save(tmp_path / "a.jpg", quality=95, exif=exif)
+    p = read_image(tmp_path / "a.jpg", camera(bit_depth=8, saturation_level=255.0))
+    assert p.shape == (H, W) and p.light[60, 102] > p.light[102, 60] + 50
+
+
 def test_grey_saved_as_colour_is_mono(tmp_path):
     grey = counts(scene(), 8)
     p = read_image(save(tmp_path / "a.png", np.dstack([grey] * 3)), camera(bit_depth=8, saturation_level=255.0))
@@ -127,6 +149,8 @@ def bad_inputs(folder):
         "head.png": (data[:40], camera(), "truncated"),
         "half.jpg": (jpeg[: len(jpeg) // 2], eight, "truncated"),
         "half.tiff": (tiff[: len(tiff) // 2], camera(), "truncated"),
+        "IMG_1.HEIC": (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", camera(), "JPEG"),
+        "turned.png": (cv2.imencode(".png", np.rot90(whole))[1].tobytes(), camera(), "as the camera wrote it"),
         "size.png": (cv2.imencode(".png", whole[:, :-1])[1].tobytes(), camera(), "resolution_px"),
         "bits.png": (data, eight, "bit_depth"),
         "bits8.png": (cv2.imencode(".png", counts(scene(), 8))[1].tobytes(), camera(), "bit_depth"),
