@@ -189,7 +189,9 @@ def _fit_pixels(path: Path, folder: Path) -> PixelFit:
         rows = [",".join(["0", *(f"{value:.9g}" for value in row)]) for row in zip(*columns, strict=True)]
         write_text(staging / "trace.csv", "\n".join([header, *rows]) + "\n")
         write_text(staging / "conics.json", json.dumps(result.as_dict(), indent=1) + "\n")
-        picture = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH), float)
+        # Pixels as `trace.read_image` has them: of the sensor, not turned as EXIF says.
+        modes = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+        picture = np.asarray(cv2.imread(str(path), modes), float)
         pictures.overlay(
             staging / f"overlay-{path.stem}.png", picture, np.zeros((0, 4, 2)), found.points, None, None, path.name
         )
