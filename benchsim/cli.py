@@ -183,6 +183,55 @@ def effects(
     _do(jobs.effects, json, recording=recording, output=output, against=against.value)
 
 
+class Paper(StrEnum):
+    """What a board is printed on."""
+
+    sheet = "sheet"
+    a4 = "a4"
+    a3 = "a3"
+    letter = "letter"
+
+
+@app.command()
+def board(
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default ./board/.")] = None,
+    size: Annotated[
+        tuple[float, float] | None, typer.Option("--size-mm", help="Along y and z; default 700 700.")
+    ] = None,
+    side: Annotated[
+        float | None, typer.Option("--side-mm", help="Of the AprilTags' black squares; default 36.")
+    ] = None,
+    paper: Annotated[Paper | None, typer.Option(help="One large sheet (the default), or tiles to be joined.")] = None,
+    measured: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--measured-mm", help="What a ruler reads on the print's check rules along y and z."),
+    ] = None,
+    over: Annotated[float, typer.Option("--over-mm", help="What was measured, as it was meant.")] = 100.0,
+    json: Json = False,
+) -> None:
+    """The calibrated screen to print, with its marks.csv; corrected by what the print measures."""
+    from benchsim import jobs
+
+    _do(
+        jobs.board, json, output=output, size=size, side=side, paper=paper and paper.value, measured=measured,
+        over=over,
+    )  # fmt: skip
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder that run, diagnose or trial open wrote.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="File to write; default report.html in the folder.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """One self-contained HTML file of a finished folder: verdict, photographs, residuals, probabilities."""
+    from benchsim import jobs
+
+    _do(jobs.report, json, folder=folder, output=output)
+
+
 def main() -> None:
     """Entry point of the console script."""
     app()

@@ -13,7 +13,7 @@ import tomlkit
 from benchsim.bench import schema
 from benchsim.bench.fields import FORMS
 from benchsim.bench.marks import MARKS_HEADER
-from benchsim.bench.model import Recording
+from benchsim.bench.model import Marks, Recording
 
 
 def write_text(path: Path, text: str) -> None:
@@ -29,6 +29,14 @@ def write_text(path: Path, text: str) -> None:
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
+
+
+def write_marks(path: Path, marks: Marks) -> None:
+    """Write ``marks.csv``, as `marks.read_marks` reads it."""
+    rows = [",".join(MARKS_HEADER)]
+    for tag, (y, z), side in zip(marks.ids, marks.centres, marks.sides, strict=True):
+        rows.append(f"{tag},{_plain(y)},{_plain(z)},{_plain(side)}")
+    write_text(path, "\n".join(rows) + "\n")
 
 
 def _plain(x: float) -> float:
@@ -51,11 +59,7 @@ def write(recording: Recording, path: str | Path, *, render: bool = False) -> No
     """
     path = Path(path)
     if recording.screen.marks is not None:
-        rows = [",".join(MARKS_HEADER)]
-        marks = recording.screen.marks
-        for tag, (y, z), side in zip(marks.ids, marks.centres, marks.sides, strict=True):
-            rows.append(f"{tag},{_plain(y)},{_plain(z)},{_plain(side)}")
-        write_text(path.parent / "marks.csv", "\n".join(rows) + "\n")
+        write_marks(path.parent / "marks.csv", recording.screen.marks)
     write_text(path, tomlkit.dumps(_document(recording, render)))
 
 

@@ -15,9 +15,11 @@ _MODULES = {
     "validate": "validating",
     "diagnose": "diagnosing",
     "effects": "effecting",
+    "report": "reporting",
+    "board": "boarding",
 }
 
-__all__ = ["diagnose", "effects", "fit", "render", "run", "validate"]
+__all__ = ["board", "diagnose", "effects", "fit", "render", "report", "run", "validate"]
 
 
 def __getattr__(name: str) -> Any:
