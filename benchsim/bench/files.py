@@ -37,7 +37,10 @@ from benchsim.bench.model import (
 from benchsim.bench.place import aim
 from benchsim.bench.writing import write
 
-__all__ = ["read", "sources", "write"]
+__all__ = ["UNFILLED", "complaints", "read", "sources", "write"]
+
+UNFILLED = "?"
+"""Value of a key that only the person at the bench knows, in a file that was begun for them."""
 
 _TABLE_MODELS: dict[str, type[BaseModel]] = {
     "laser": schema.LaserTable,
@@ -82,10 +85,32 @@ def read(path: str | Path, *, images: bool | None = None) -> Recording:
     try:
         checked = schema.RecordingFile.model_validate(data)
     except ValidationError as error:
-        raise BenchsimError(f"{file.name}: {_first_complaint(error, data)}") from None
+        raise BenchsimError(f"{file.name}: {_first_complaint(error)}") from None
     recording = replace(_convert(checked, file), defaults_used=tuple(_defaults(checked)))
     _check(recording, file, images)
     return recording
+
+
+def complaints(path: str | Path) -> list[tuple[str, str]]:
+    """Everything that keeps a file from being read for its keys alone: (key, mend), in the order of the file.
+
+    A value `UNFILLED` is one of them. What contradicts something else is told by `read`, and only if nothing is here.
+
+    Raises
+    ------
+    BenchsimError
+        If there is no such file, or it is not TOML.
+    """
+    data = _load_toml(_toml_path(Path(path)))
+    try:
+        schema.RecordingFile.model_validate(data)
+    except ValidationError as error:
+        found: dict[str, str] = {}
+        for one in error.errors():
+            key, mend = _complaint(one)
+            found.setdefault(key, mend)
+        return list(found.items())
+    return []
 
 
 def sources(recording: Recording) -> list[Path]:
@@ -122,10 +147,14 @@ def _load_toml(file: Path) -> dict[str, Any]:
         raise BenchsimError(f"{file.name}: not valid TOML: {error}; mend that line") from None
 
 
-def _first_complaint(error: ValidationError, data: dict[str, Any]) -> str:
+def _first_complaint(error: ValidationError) -> str:
     """Turn pydantic's first error into one sentence with key and mend; unknown keys first, they explain the rest."""
     errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    first = errors[0]
+    return ": ".join(_complaint(errors[0]))
+
+
+def _complaint(first: Any) -> tuple[str, str]:
+    """Key and mend of one of pydantic's errors."""
     loc = [
         part
         for part in first["loc"]
@@ -134,10 +163,12 @@ def _first_complaint(error: ValidationError, data: dict[str, Any]) -> str:
     key = _key_name(loc)
     kind, value = first["type"], first.get("input")
     if kind == "extra_forbidden":
-        return f"{key}: unknown key; {_suggestion(loc)}"
+        return key, f"unknown key; {_suggestion(loc)}"
     if kind == "missing":
-        return f"{key}: required and missing; add it"
-    return f"{key}: {_mend(kind, first, value)}"
+        return key, "required and missing; add it"
+    if value == UNFILLED:
+        return key, "not filled in; write what it is on your bench"
+    return key, _mend(kind, first, value)
 
 
 def _is_union_tag(part: Any) -> bool:
