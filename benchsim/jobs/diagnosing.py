@@ -20,8 +20,10 @@ from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amend, effects, observables
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.instruments.bench.prediction import Predict
+from benchsim.jobs import exhibits
 from benchsim.jobs.output import default_folder, label, output_folder
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.reporting import report
 from benchsim.jobs.workers import Workers, workers
 from benchsim.report import diagnosis_pictures as pictures
 from benchsim.report.diagnosis_text import About, summary
@@ -108,7 +110,7 @@ def diagnose(
     """Say what a simulation lacks, from settings and photographs alone.
 
     ``diagnosis.json``, ``summary.txt`` and ``amended.toml`` lie in the folder, whole, before the pictures are begun;
-    each picture is put beside them as it is finished.
+    each picture is put beside them as it is finished, and ``report.html``, which shows it all, comes last.
 
     Parameters
     ----------
@@ -119,7 +121,7 @@ def diagnose(
     against : {"bench", "vector"}
         The simulation in doubt: the bench as the file states it, or the paper's vector model.
     pictures : bool
-        Whether to draw.
+        Whether to draw; without, the page shows no photographs either.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -146,6 +148,8 @@ def diagnose(
             amend.write_amended(result.amended, staging / "amended.toml", folder)
         if pictures:
             result = replace(result, not_drawn=draw(result, folder, pool, progress))
+        exhibits.write_diagnosis(checked, result.problem, result.diagnosis, folder, photographs=pictures)
+        report(folder)
     progress("done", 1.0)
     return result
 

@@ -1,4 +1,4 @@
-"""``benchsim run``: the main job; render (or take a recording's photographs), fit, validate, draw."""
+"""``benchsim run``: the main job; render (or take a recording's photographs), fit, validate, draw, report."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import benchsim
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording
+from benchsim.jobs import exhibits
 from benchsim.jobs.fitting import FitResult, fit_recording, write_fit
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.rendering import render_into
+from benchsim.jobs.reporting import report
 from benchsim.jobs.validating import ValidationResult, validate_fit, write_validation
 
 
@@ -98,6 +100,8 @@ def run(
         write_validation(validation, fitted, staging)
         result = RunResult(folder, not all(photographed), fitted, validation)
         (staging / "summary.txt").write_text(result.summary() + "\n", encoding="utf-8")
+        exhibits.write_validation(recording, fitted.fitted, validation.exposures, staging)
+    report(folder)
     return result
 
 

@@ -1,7 +1,7 @@
-"""Line drawings of the report page as inline SVG: their numbers are finished, only their place in the drawing is found.
+"""Line drawings of the report page as inline SVG: their numbers are finished, only their place is found here.
 
-Colours and fonts come from the page's style sheet by class, so that a drawing follows the reader's light or dark scheme.
-A drawing is 360 units wide, a phone's width, and is never shrunk much below that: its letters stay readable.
+Colours and fonts come from the page's style sheet by class, so that a drawing follows the reader's light or dark
+scheme. A drawing is 360 units wide, a phone's width, and is never shrunk much below that: its letters stay readable.
 """
 
 from __future__ import annotations
@@ -14,7 +14,10 @@ from typing import Any
 from markupsafe import Markup, escape
 
 WIDTH = 360
-LEFT, RIGHT = 50, 8
+LEFT, RIGHT = 46, 8
+
+FINE = 0.15
+"""Distances of fewer mm are written in µm."""
 
 Numbers = Sequence[float | None]
 
@@ -99,37 +102,44 @@ def _rms(values: Numbers) -> float | None:
     return (sum(v * v for v in known) / len(known)) ** 0.5 if known else None
 
 
-def residuals(exposure: Mapping[str, Any]) -> Markup:
+def residuals(exposure: Mapping[str, Any], earlier: bool = True) -> Markup:
     """Distances of one trace from its prediction along the trace, before and after; below them those left out.
 
     Parameters
     ----------
     exposure : mapping
         One of ``exposures`` of ``page.json`` (see `report.page`).
+    earlier : bool
+        Whether those before are drawn too.
     """
+    earlier = earlier and not exposure["same"]
     s = exposure["s_mm"]
     r = exposure["residual_mm"]
     panels = [("fitted", r["before"], r["after"])]
     if _known(r["held_out_after"]):
         panels.append(("left out", r["held_out_before"], r["held_out_after"]))
-    tall, gap, top = 104, 12, 16
+    tall, gap, top = 104, 26, 16
     x = Scale(min(s), max(s), LEFT, WIDTH - RIGHT)
     body, said = [], []
     for k, (word, before, after) in enumerate(panels):
         first = top + k * (tall + gap)
         sigma = exposure["sigma_mm"]
-        reach = 1.12 * max((abs(v) for v in [*_known(before), *_known(after)]), default=1.0) or 1.0
+        shown = [*_known(after), *(_known(before) if earlier else [])]
+        reach = 1.12 * max((abs(v) for v in shown), default=1.0) or 1.0
         y = Scale(-reach, reach, first + tall, first)
-        body += _axis_y(y, ticks(-reach, reach, 4), first, f"{word} (mm)")
+        factor, unit = (1e3, "µm") if reach < FINE else (1.0, "mm")
+        body += _axis_y(
+            y, [v / factor for v in ticks(-factor * reach, factor * reach, 4)], first, f"{word} ({unit})", factor
+        )
         body.append(_band(x, y, s, sigma, "band"))
         body.append(_band(x, y, s, exposure["sigma_alone_mm"], "band alone"))
         body.append(_line(x.start, y(0.0), x.end, y(0.0), "zero"))
-        if not exposure["same"]:
+        if earlier:
             body.append(f'<path class="before ring" d="{_rings(_points(x, y, s, before))}"/>')
         body.append(f'<path class="after dot" d="{_dots(_points(x, y, s, after))}"/>')
         b, a = _rms(before), _rms(after)
         if a is not None:
-            start = f"{b:.2g} before, " if b is not None and not exposure["same"] else ""
+            start = f"{b:.2g} before, " if b is not None and earlier else ""
             said.append(f"{word}: rms {start}{a:.2g} mm{' after' if start else ''}")
     bottom = top + len(panels) * (tall + gap) - gap
     body += _axis_x(x, ticks(min(s), max(s), 6), bottom, "along the trace (mm)")
@@ -153,11 +163,11 @@ def _band(x: Scale, y: Scale, at: Sequence[float], sigma: Sequence[float], kind:
     return f'<path class="{kind}" d="{polyline([*top, *reversed(low)])}Z"/>'
 
 
-def _axis_y(y: Scale, at: Sequence[float], top: float, words: str) -> list[str]:
+def _axis_y(y: Scale, at: Sequence[float], top: float, words: str, factor: float = 1.0) -> list[str]:
     out = [_text(2, top - 5, words, "start", "label")]
     for v in at:
         out.append(_line(LEFT, y(v), WIDTH - RIGHT, y(v), "grid"))
-        out.append(_text(LEFT - 5, y(v) + 3.5, text_of(v), "end"))
+        out.append(_text(LEFT - 5, y(v) + 3.5, text_of(factor * v), "end"))
     return out
 
 

@@ -70,7 +70,5 @@ def shown(score: Mapping[str, Any]) -> dict[str, Any]:
         "effects": [e["effect"] for e in score.get("power", [])],
         "confusion": confusion,
         "most": max((n for row in confusion["counts"] for n in row), default=0) or 1,
-        "rows": [
-            (name, row, sum(row)) for name, row in zip(confusion["concealed"], confusion["counts"], strict=True)
-        ],
+        "rows": [(name, row, sum(row)) for name, row in zip(confusion["concealed"], confusion["counts"], strict=True)],
     }

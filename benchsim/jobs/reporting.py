@@ -1,0 +1,120 @@
+"""``benchsim report``: one HTML file of a finished folder, for a person to read; the other jobs end with it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.writing import write_text
+from benchsim.jobs.output import STAMP
+from benchsim.jobs.progress import Progress, silent
+from benchsim.report import page, page_trial
+
+NAME = "report.html"
+
+
+@dataclass(frozen=True)
+class ReportResult:
+    """The page that was written, and of what: "diagnosis", "validation" or "trial"."""
+
+    path: Path
+    of: str
+    size: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``--json``."""
+        return {"report": str(self.path), "of": self.of, "bytes": self.size}
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        return f"written: {self.path} ({self.size / 1e6:.1f} MB), the page of a {self.of}"
+
+
+def report(folder: Path | str, output: Path | str | None = None, *, progress: Progress = silent) -> ReportResult:
+    """Write one self-contained HTML file of a folder that ``run``, ``validate``, ``diagnose`` or a trial left.
+
+    Parameters
+    ----------
+    folder : path
+        Holds ``diagnosis.json``, ``validation.json`` or ``score.json``.
+    output : path, optional
+        The file to write; default ``report.html`` in the folder.
+    progress : callable
+        Called with what is being done and the fraction done.
+
+    Returns
+    -------
+    ReportResult
+
+    Raises
+    ------
+    BenchsimError
+        If the folder holds no finished result, or a file of it cannot be read.
+    """
+    source = Path(folder)
+    target = source / NAME if output is None else Path(output)
+    progress("writing the page", 0.5)
+    of, html = build(source)
+    try:
+        write_text(target, html)
+    except OSError as error:
+        raise BenchsimError(f"{target}: cannot be written ({error.strerror}); choose another file with -o") from None
+    progress("done", 1.0)
+    return ReportResult(target, of, len(html.encode("utf-8")))
+
+
+def build(folder: Path) -> tuple[str, str]:
+    """What a finished folder holds ("diagnosis", "validation", "trial"), and its page as HTML."""
+    if not folder.is_dir():
+        raise BenchsimError(f"{folder}: no such folder; name one that run, diagnose or trial open wrote")
+    stamp = _read(folder, STAMP, {})
+    if (folder / "score.json").is_file():
+        score = _read(folder, "score.json")
+        _of_format(folder / "score.json", score, page_trial.FORMAT)
+        return "trial", page.trial_page(score, stamp)
+    result = next((n for n in ("diagnosis.json", "validation.json") if (folder / n).is_file()), None)
+    if result is None:
+        raise BenchsimError(
+            f"{folder}: holds no diagnosis.json, validation.json or score.json; name a folder that run, diagnose or "
+            "trial open wrote"
+        )
+    if not (folder / "page.json").is_file():
+        raise BenchsimError(
+            f"{folder}: holds no page.json, without which there is nothing to draw; write the folder anew with "
+            f"benchsim {stamp.get('command', 'run')}"
+        )
+    found, extra = _read(folder, result), _read(folder, "page.json")
+    _of_format(folder / "page.json", extra, page.FORMAT)
+    photographs = {
+        x["photograph"]: (folder / x["photograph"]).read_bytes()
+        for x in extra["exposures"]
+        if x["photograph"] is not None and (folder / x["photograph"]).is_file()
+    }
+    if result == "diagnosis.json":
+        pixels = _read(folder, "pixels.json", None)
+        return "diagnosis", page.diagnosis_page(found, extra, photographs, stamp, pixels)
+    return "validation", page.validation_page(found, _read(folder, "conics.json"), extra, photographs, stamp)
+
+
+_MUST: Any = object()
+
+
+def _read(folder: Path, name: str, default: Any = _MUST) -> Any:
+    path = folder / name
+    if default is not _MUST and not path.is_file():
+        return default
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BenchsimError(f"{path}: cannot be read ({error.strerror}); write the folder anew") from None
+    except ValueError:
+        raise BenchsimError(f"{path}: is no JSON; write the folder anew") from None
+
+
+def _of_format(path: Path, value: Any, wanted: str) -> None:
+    said = value.get("format") if isinstance(value, dict) else None
+    if said != wanted:
+        raise BenchsimError(f"{path}: format: {said!r} is not {wanted!r}; write the folder anew with this benchsim")

@@ -1,0 +1,235 @@
+"""The sentences and rows of the report page, from the finished JSON; nothing is computed here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from math import inf, log10
+from typing import Any
+
+from benchsim.diagnosis.result import Size
+from benchsim.report.diagnosis_text import KINDS, SIMULATION, number, odds, percent, rounded, unit_text
+
+Json = Mapping[str, Any]
+
+ELEMENTS = ("source", "mirror", "air", "screen", "camera", "time")
+"""In the order of the light; others follow in the order in which they come."""
+
+PRIOR, PROBABLE, NAMED = 0.02, 0.9, 0.99
+"""Probability of an effect before the data, and the thresholds of the two words."""
+
+
+def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
+    """What the page says of a diagnosis, by the place where it says it.
+
+    Parameters
+    ----------
+    d : mapping
+        ``diagnosis.json``.
+    extra : mapping
+        ``page.json``.
+    """
+    says = {e["name"]: e["says"] for e in extra["catalogue"]}
+    limits = list(d["limits"].items())
+    return {
+        "headline": _headline(d),
+        "basis": f"{number(len(extra['exposures']), 'exposure')} of {number(extra['settings'], 'setting')}, "
+        f"against {SIMULATION.get(d['against'], d['against'])}.",
+        "says": says,
+        "where": _where(d),
+        "law": _law(d),
+        "rms": [
+            (KINDS.get(k, (k, ""))[0], KINDS.get(k, (k, ""))[1], v["before"], v["after"])
+            for k, v in d["fit"]["rms"].items()
+        ],
+        "left_out": _left_out(d),
+        "settings": _settings(d),
+        "seen": [(k.split(".")[0], v) for k, v in limits if v["reachable"]],
+        "blind": [(k.split(".")[0], v) for k, v in limits if not v["reachable"]],
+        "notes": [*d["remarks"], *d["notes"]],
+    }
+
+
+def _headline(d: Json) -> str:
+    names = listed([f["name"] for f in d["effects"]])
+    besides = f" {names[0].upper()}{names[1:]} is there in any case." if names else ""
+    match d["verdict"]:
+        case "nothing-missing":
+            return "Nothing is missing that these recordings could show."
+        case "named":
+            count = "they have names" if len(d["effects"]) > 1 else "it has a name"
+            return f"Something is missing from the simulation, and {count}: {names}."
+        case "class":
+            return f"Something is missing from the simulation; these recordings leave a choice of what it is.{besides}"
+        case "located":
+            more = f" besides {names}" if names else ""
+            element = d["location"]["element"]
+            return f"Something is missing in the {element}, and no effect of the catalogue explains it{more}."
+        case _:
+            part = f" {names[0].upper()}{names[1:]} explains a part of it." if names else ""
+            return f"Something is missing from the simulation; neither its name nor its place can be told.{part}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _where(d: Json) -> str:
+    w = d["location"]
+    if w is None:
+        return ""
+    sure = odds(inf if w["margin"] is None else w["margin"])
+    if w["claimed"]:
+        return f"In the {w['element']}, as a function of {w['coordinate']}: {sure} over any other element."
+    return (
+        f"Most likely in the {w['element']}, as a function of {w['coordinate']}; {sure} over the next element "
+        "do not settle it."
+    )
+
+
+def _law(d: Json) -> str:
+    law = d["law"]
+    if law is None:
+        return ""
+    terms = ", ".join(f"{minus(f'{value:.3g}')} · {term}" for term, value in law["terms"].items())
+    form = f"a law in {law['coordinate']} ({terms})" if terms else f"a smooth function of {law['coordinate']}"
+    return (
+        f"Until its cause is known, {form} stands in for it: of the misfit of settings that were left out it removes "
+        f"{short(100 * law['held_out_gain'])} ± {short(100 * law['held_out_gain_sigma'])} %."
+    )
+
+
+def _left_out(d: Json) -> str:
+    """What prediction of settings left out says; the same rule as in the summary for when it says nothing."""
+    h = d["fit"]["held_out"]
+    if h is None:
+        return "Fewer than three settings: none could be left out to test the prediction."
+    start = f"Every setting was left out in turn ({h['folds']} folds, {h['data']} data) and predicted from the others. "
+    before, after, sigma = h["excess_chi2_before"], h["excess_chi2_after"], h["sigma"]
+    if d["verdict"] == "nothing-missing":
+        return start + f"Beyond noise and setting errors they miss by an excess χ² of {_chi2(before)} ± {sigma:.0f}."
+    text = start + (
+        f"Their misfit beyond noise and setting errors (excess χ²) falls from {_chi2(before)} to {_chi2(after)} "
+        f"(± {sigma:.0f})"
+    )
+    if h["fraction_removed"] is not None and before > 2 * sigma:
+        return text + f": {100 * h['fraction_removed']:.1f} % of it is removed."
+    return text + "; before, it was within its scatter, so that these recordings show no gain."
+
+
+def _chi2(x: float) -> str:
+    return minus(f"{x:.0f}")
+
+
+def _settings(d: Json) -> list[str]:
+    noise, out = d["noise"], []
+    if noise["setting_scale"] > 1.5:
+        out.append(f"The settings were off by about {noise['setting_scale']:.1f} times their stated uncertainty.")
+    if noise["sigma_scale"] > 1.15:
+        out.append(f"The noise is {noise['sigma_scale']:.2f} times what the photographs' own error bars say.")
+    if noise["correlation_mm"] > 0:
+        out.append(f"Neighbouring points err together over {noise['correlation_mm']:.2g} mm.")
+    return out
+
+
+def probabilities(d: Json, extra: Json) -> list[tuple[str, list[dict[str, Any]]]]:
+    """Effects by element in the order of the light, each with its probability and where that lies on a log-odds bar."""
+    known = {e["name"]: e["element"] for e in extra["catalogue"]}
+    said = {f["name"]: f["confidence"] for f in d["effects"]}
+    rivals = {name for c in d["classes"] for member in c["members"] for name in member}
+    grouped: dict[str, list[dict[str, Any]]] = {e: [] for e in ELEMENTS}
+    for name, p in d["probability"].items():
+        word = said.get(name, "in a class" if name in rivals else "")
+        row = {"name": name, "p": p, "at": place(p), "word": word}
+        grouped.setdefault(known.get(name, "other"), []).append(row)
+    return [(element, sorted(rows, key=lambda r: -r["p"])) for element, rows in grouped.items() if rows]
+
+
+def place(p: float) -> float:
+    """Place of a probability on a bar of log odds from 0.0001 (0) to 0.9999 (100)."""
+    clipped = min(max(p, 1e-4), 1 - 1e-4)
+    return 50 + 12.5 * log10(clipped / (1 - clipped))
+
+
+def validation(v: Json) -> dict[str, Any]:
+    """What the page says of a validation."""
+    rows = v["exposures"]
+    agree = [x["exposure"] for x in rows if x["agrees"]]
+    against = [x["exposure"] for x in rows if x["agrees"] is False]
+    open_ = [x["exposure"] for x in rows if x["agrees"] is None]
+    if against:
+        headline = f"The vector model disagrees with {_of(against, rows)}: {listed(against)}."
+    elif agree:
+        headline = f"The vector model agrees with {_of(agree, rows)}."
+    else:
+        headline = "These recordings cannot tell whether the vector model agrees."
+    if open_ and (agree or against):
+        headline += f" Of {listed(open_)} it cannot be told."
+    return {
+        "headline": headline,
+        "agrees": {True: "✓ agrees", False: "✗ disagrees", None: "cannot tell"},
+        "pulls": list(dict.fromkeys(name for x in rows for name in x["pulls"])),
+    }
+
+
+def _of(some: Sequence[str], rows: Sequence[Json]) -> str:
+    if len(some) == len(rows):
+        return "the trace" if len(rows) == 1 else "both traces" if len(rows) == 2 else f"all {len(rows)} traces"
+    return f"{len(some)} of {len(rows)} traces"
+
+
+def minus(text: str) -> str:
+    """With a true minus sign."""
+    return text.replace("-", "−")
+
+
+def short(x: float | None) -> str:
+    """Three digits, plain between 1e-4 and 1e5."""
+    if x is None:
+        return "–"
+    if x == 0:
+        return "0"
+    return minus(f"{x:.0f}" if 1e3 <= abs(x) < 1e5 else f"{x:#.3g}".removesuffix("."))
+
+
+def chance(p: float) -> str:
+    """A probability in two digits, or as far as it is from certainty; never 0 or 1."""
+    return percent(p) if p >= 0.9 or p < 1e-4 else f"{100 * p:.2g} %"
+
+
+def p_value(p: float) -> str:
+    """A probability under a hypothesis, three digits after the point."""
+    return f"{p:.3f}" if p >= 0.0005 else "< 0.001"
+
+
+def interval(i: Json) -> str:
+    """``1.79 (1.42 … 2.18)``, or that the arc does not determine it."""
+    if i["value"] is None or not i["determined"]:
+        return "not determined"
+    if isinstance(i["value"], str):
+        return i["value"]
+    value, low, high = ("∞" if x is None else minus(f"{x:.4g}") for x in (i["value"], i["low95"], i["high95"]))
+    return f"{value} ({low} … {high})"
+
+
+def _size(s: Json) -> str:
+    return minus(rounded(Size(s["value"], s["sigma"], s["unit"])))
+
+
+def _separation(s: Json) -> str:
+    x = s["separation_sigma"]
+    return "" if x is None else f"{x:.1f} sigma" if x < 20 else f"{x:.0f} sigma"
+
+
+FILTERS: Mapping[str, Callable[..., Any]] = {
+    "percent": percent,
+    "chance": chance,
+    "size": _size,
+    "unit": unit_text,
+    "short": short,
+    "p_value": p_value,
+    "interval": interval,
+    "separation": _separation,
+    "minus": minus,
+    "listed": listed,
+}
