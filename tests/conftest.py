@@ -1,0 +1,6 @@
+"""Each test process computes with one thread: several of them share the cores, and small matrices gain from no second."""
+
+import os
+
+for _key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_key, "1")  # read once, when numpy is first imported
