@@ -155,13 +155,20 @@ def diagnose(
 
 
 def diagnose_recording(
-    recording: Recording, folder: Path, *, against: str = "bench", pool: Workers, progress: Progress = silent
+    recording: Recording,
+    folder: Path,
+    *,
+    against: str = "bench",
+    pool: Workers,
+    without: Sequence[str] = (),
+    progress: Progress = silent,
 ) -> DiagnosisResult:
-    """Diagnose a recording that was read; writes nothing."""
+    """Diagnose a recording that was read, by the catalogue without some effects; writes nothing."""
     progress("reading the photographs", 0.0)
     observed, lost = observables.observe(recording, spread=pool.each)
     progress("building the problem", 0.3)
     problem = replace(bench_problem.build(recording, observed, against=against), spread=pool.spread)
+    problem = replace(problem, catalogue=tuple(e for e in problem.catalogue if e.name not in without))
     found = diagnosis.diagnose(problem, lambda what, done: progress(what, 0.35 + 0.4 * done))
     said = tuple(note for o in observed for note in o.notes)
     return DiagnosisResult(
