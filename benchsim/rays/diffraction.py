@@ -23,6 +23,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.rays.laser import cos_sin
 from benchsim.rays.profile import Profiles, interpolation
 
 Array = NDArray[np.float64]
@@ -73,7 +74,8 @@ def fresnel_profile(nodes: Profiles, wavelength: float, height: float, q: Array)
     for i in range(0, len(q), some):
         p = slice(i, i + some)
         turn = ((-half * chirp[p, None]) * q[p])[..., None] * fine
-        field = (np.cos(turn) + 1j * np.sin(turn)) @ still[p].transpose(0, 2, 1)
+        c, s = cos_sin(turn)
+        field = (c + 1j * s) @ still[p].transpose(0, 2, 1)
         out[p] = (np.abs(chirp[p, None]) / (2 * np.pi)) * (field.real**2 + field.imag**2).sum(axis=2)
     return out
 
@@ -91,45 +93,61 @@ def even_profile(
         Of the offsets: middle + reach j/count, j from −count to count.
     count : int
     rule : int
-        Nodes over the height, at least `rule_needed`.
+        Nodes over the height, at least `rule_needed`; even.
 
     Returns
     -------
     (profile, 2 count + 1) ndarray
     """
-    chirp, fine, still = _still(nodes, wavelength, height, rule)
+    chirp, fine, real, imaginary = _still_parts(nodes, wavelength, height, rule)
     per_mm = (0.5 * height * chirp)[:, None] * fine
     turn = per_mm * middle[:, None]
-    still = still * (np.cos(turn) - 1j * np.sin(turn))[:, None, :]
-    step = per_mm * (reach / count)[:, None]
+    c, s = (x[:, None, :] for x in cos_sin(turn))
+    # Real and imaginary part side by side.
+    still = np.concatenate([real * c + imaginary * s, imaginary * c - real * s], axis=1)
+    # The rule is even and symmetric: of nodes on either side the cosines are equal and the sines opposite.
+    half = rule // 2
+    upper, lower = still[..., half:], still[..., half - 1 :: -1]
+    step = per_mm[:, half:] * (reach / count)[:, None]
     light = np.empty((len(step), 2 * count + 1))
     # A few profiles at a time: the tables of cos and sin then stay in the processor's cache.
-    some = max(1, CACHED // ((count + 1) * len(fine)))
+    some = max(1, CACHED // ((count + 1) * half))
     for i in range(0, len(light), some):
-        light[i : i + some] = _even_light(step[i : i + some], still[i : i + some], count)
+        p = slice(i, i + some)
+        light[p] = _even_light(step[p], upper[p] + lower[p], upper[p] - lower[p], count)
     return np.asarray((np.abs(chirp[:, None]) / (2 * np.pi)) * light)
 
 
-def _even_light(step: Array, still: NDArray[np.complex128], count: int) -> Array:
-    """Squares of the field at j steps of phase per node, j from −count to count, summed over t: (profile, j)."""
+def _even_light(step: Array, even: Array, odd: Array, count: int) -> Array:
+    """Squares of the field at j steps of phase per node, j from −count to count, summed over t: (profile, j).
+
+    Parameters
+    ----------
+    step : (profile, node) array [rad]
+        Of the nodes above the middle.
+    even, odd : (profile, 2 t, node) array
+        Sum and difference of the field's amplitudes there and at their mirror images, real parts before imaginary ones.
+    count : int
+    """
     # cos and sin of j steps, from those of half as many by the addition theorem.
-    table = np.empty((2, count + 1, *step.shape))
+    table = np.empty((2, len(step), count + 1, step.shape[1]))
     (c, s), done = table, 1
-    c[0], s[0] = 1.0, 0.0
+    c[:, 0], s[:, 0] = 1.0, 0.0
+    cos, sin = (x[:, None] for x in cos_sin(step))
     while done <= count:
-        cos, sin = np.cos(done * step), np.sin(done * step)
         more = slice(done, min(2 * done, count + 1))
         here = slice(0, more.stop - done)
-        c[more], s[more] = c[here] * cos - s[here] * sin, s[here] * cos + c[here] * sin
+        np.subtract(c[:, here] * cos, s[:, here] * sin, out=c[:, more])
+        np.add(s[:, here] * cos, c[:, here] * sin, out=s[:, more])
+        cos, sin = cos * cos - sin * sin, 2 * sin * cos
         done *= 2
-    # Even and odd part of the field about the middle; real and imaginary part side by side.
-    parts = np.concatenate([still.real, still.imag], axis=1).transpose(0, 2, 1)
-    even, odd = (t.transpose(1, 0, 2) @ parts for t in (c, s))
-    n = still.shape[1]
+    even, odd = c @ even.transpose(0, 2, 1), s @ odd.transpose(0, 2, 1)
+    n = even.shape[-1] // 2
     a, b, x, y = even[..., :n], even[..., n:], odd[..., :n], odd[..., n:]
-    # exp(−iθ) (a + ib) on one side, exp(+iθ) on the other.
-    right, left = (a + y) ** 2 + (b - x) ** 2, (a - y) ** 2 + (b + x) ** 2
-    return np.asarray(np.concatenate([left[:, :0:-1], right], axis=1).sum(axis=2))
+    # exp(−iθ) (a + ib) on one side, exp(+iθ) on the other: |a + y|² + |b − x|² and |a − y|² + |b + x|².
+    both = np.einsum("pjt,pjt->pj", even, even) + np.einsum("pjt,pjt->pj", odd, odd)
+    apart = 2 * (np.einsum("pjt,pjt->pj", a, y) - np.einsum("pjt,pjt->pj", b, x))
+    return np.asarray(np.concatenate([(both - apart)[:, :0:-1], both + apart], axis=1))
 
 
 def rule_needed(nodes: Profiles, wavelength: float, height: float, reach: Array, benches: int = 1) -> NDArray[np.intp]:
@@ -153,11 +171,24 @@ def _chirp(nodes: Profiles, wavelength: float) -> Array:
 
 def _still(nodes: Profiles, wavelength: float, height: float, rule: int) -> tuple[Array, Array, NDArray[np.complex128]]:
     """k c (profile,), the finer rule over the height, and A exp(iΦ) times its weights at q = 0, (profile, t, fine)."""
+    chirp, fine, real, imaginary = _still_parts(nodes, wavelength, height, rule)
+    return chirp, fine, real + 1j * imaginary
+
+
+def _still_parts(nodes: Profiles, wavelength: float, height: float, rule: int) -> tuple[Array, Array, Array, Array]:
+    """`_still` as real and imaginary part."""
     half, chirp = height / 2, _chirp(nodes, wavelength)
     weight, fine, fine_weight, carry, rise = _rules(nodes.q.shape[2], rule)
-    per_height = np.maximum((nodes.weight / (half * weight)) @ carry, 0.0)
-    bend = chirp[:, None, None] * (half * (nodes.q @ rise))
-    return chirp, fine, np.sqrt(per_height) * (half * fine_weight) * (np.cos(bend) + 1j * np.sin(bend))
+    flat = (-1, nodes.q.shape[2])
+    shape = (*nodes.q.shape[:2], rule)
+    size = (nodes.weight / (half * weight)).reshape(flat) @ carry
+    np.sqrt(np.maximum(size, 0.0, out=size), out=size)
+    size *= half * fine_weight
+    bend = ((chirp[:, None, None] * half) * nodes.q).reshape(flat) @ rise
+    real, imaginary = cos_sin(bend)
+    real *= size
+    imaginary *= size
+    return chirp, fine, real.reshape(shape), imaginary.reshape(shape)
 
 
 @lru_cache(maxsize=64)

@@ -14,7 +14,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, evaluate
 from benchsim.bench.model import Mirror
 from benchsim.bench.place import Placement
-from benchsim.rays.laser import cross, dot, outer, over, some
+from benchsim.rays.laser import cos_sin, cross, dot, outer, over, some
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
@@ -182,7 +182,7 @@ def _turn(placement: Placement, phase: Array) -> tuple[Array, Array]:
     lift = over(dot(a, n)) * a
     flat = n - lift
     across = cross(a, n)
-    c, s = np.cos(e), np.sin(e)
+    c, s = cos_sin(e)
     return outer(c, flat) + outer(s, across) + lift, outer(c, across) - outer(s, flat)
 
 

@@ -78,6 +78,9 @@ def adaptive(
     var = (1.25 * (light * near).sum(axis=1) / total) ** 2 + (light * spread).sum(axis=1) / total
     floor = 1e-24
     d = q - mu[:, None]
+    if centre is not None and np.shape(spread)[-1:] in ((), (1,)):
+        alike = np.broadcast_to(spread, (len(mu), 1))[:, 0]
+        return mu, np.sqrt(_held(d * d, light, var, alike, floor, iterations))
     for _ in range(iterations):
         v = np.maximum(var, floor)[:, None]
         # What the weight leaves of a point's Gaussian is a Gaussian: less light, drawn toward the centre, narrower.
@@ -98,6 +101,33 @@ def adaptive(
         if done and np.max(np.abs(shift), initial=0.0) < 1e-12:
             break
     return mu, np.sqrt(var)
+
+
+def _held(d2: Array, light: Array, var: Array, spread: Array, floor: float, iterations: int) -> Array:
+    """The variances of `adaptive` about held centres, of points (m, n) whose squares from it are ``d2``.
+
+    Its fixed point, by the secant rule in ln σ²; ``spread`` (m,) is the variance by blur, the same for all points.
+    """
+    x, before, rose = np.log(np.maximum(var, floor)), None, None
+    for _ in range(iterations):
+        v = np.exp(x)
+        wide = v + spread
+        left = v / wide
+        w = np.exp((-0.5 / wide)[:, None] * d2)
+        w *= light
+        weighted = left * (left * np.einsum("mn,mn->m", w, d2) / w.sum(axis=1) + spread)
+        # Exact in one step for a Gaussian: 1/var_profile = 1/var_weighted − 1/var_weight.
+        rest = 1.0 / np.maximum(weighted, floor) - 1.0 / v
+        rise = np.clip(-np.log(np.maximum(rest, floor)) - x, -np.log(4.0), np.log(4.0))
+        if not np.max(np.abs(rise), initial=0.0) >= 1e-12:
+            return np.asarray(np.exp(x + rise))
+        slope: Array = np.full(len(x), -1.0)
+        if before is not None and rose is not None:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                slope = (rise - rose) / (x - before)
+            slope = np.where((slope > -3.0) & (slope < -0.2), slope, -1.0)
+        before, rose, x = x, rise, x - rise / slope
+    return np.asarray(np.exp(x))
 
 
 def refine_height(nodes: Profiles, rows: int) -> tuple[Array, Array]:

@@ -46,7 +46,7 @@ def adaptive_widths(bench: Bench, some: Profiles, which: NDArray[np.bool_] | Non
     """
     if some.q.ndim == 3:
         each = (np.full(len(some.q), float(v)) for v in (source.blur_sigma(bench.laser), bench.parts.timing.shake))
-        return _of_profiles(bench, some, *each)
+        return _held(*_samples(bench, some, *each))
     assert which is not None
     count = some.q.shape[1]
     blur, shake = (
@@ -54,16 +54,23 @@ def adaptive_widths(bench: Bench, some: Profiles, which: NDArray[np.bool_] | Non
         for v in (source.blur_sigma(bench.laser), bench.parts.timing.shake)
     )
     some = some.only(which)
-    out = np.empty(some.q.shape[:2])
-    sizes = np.zeros((len(out), 2), int)
+    benches = len(some.q)
+    sizes = np.zeros((benches, 2), int)
     if bench.physics.diffraction:
-        sizes = _grids(bench, _joined(some), *_window(bench, _joined(some), blur.ravel(), shake.ravel()), len(out))
+        sizes = _grids(bench, _joined(some), *_window(bench, _joined(some), blur.ravel(), shake.ravel()), benches)
     # A bench's answer must not depend on its company, so only those of the same grids go together.
-    for size in np.unique(sizes, axis=0):
-        mine = (sizes == size).all(axis=1)
-        flat = _joined(some.only(mine))
-        out[mine] = _of_profiles(bench, flat, blur[mine].ravel(), shake[mine].ravel(), size).reshape(-1, count)
-    return out
+    mine = [(sizes == size).all(axis=1) for size in np.unique(sizes, axis=0)]
+    found = [_samples(bench, _joined(some.only(m)), blur[m].ravel(), shake[m].ravel(), sizes[m.argmax()]) for m in mine]
+    if len(found) == 1:
+        return _held(*found[0]).reshape(-1, count)
+    # Filled up with places without light, all are one table.
+    longest, widest = (max(f[k].shape[1] for f in found) for k in (0, 2))
+    q, light = np.zeros((benches, count, longest)), np.zeros((benches, count, longest))
+    spread = np.zeros((benches, count, widest))
+    for m, (at, much, blurred) in zip(mine, found, strict=True):
+        for table, part in ((q, at), (light, much), (spread, blurred)):
+            table[m, :, : part.shape[1]] = part.reshape(-1, count, part.shape[1])
+    return _held(*(table.reshape(-1, table.shape[2]) for table in (q, light, spread))).reshape(-1, count)
 
 
 def _joined(several: Profiles) -> Profiles:
@@ -92,10 +99,16 @@ def _grids(
     return np.stack([count.astype(np.intp), rule], axis=1)
 
 
-def _of_profiles(
+def _held(q: Array, light: Array, spread: Array) -> Array:
+    """Adaptive width about 0 of samples; its own mean is 0: the profiles are measured from the curve."""
+    return adaptive(q, light, np.zeros(len(q)), blur=spread if spread.any() else 0.0)[1]
+
+
+def _samples(
     bench: Bench, some: Profiles, blur: Array, shake: Array, size: NDArray[np.intp] | None = None
-) -> Array:
-    """Widths of profiles of one grid's ``size``; default what they need."""
+) -> tuple[Array, Array, Array]:
+    """Places, light and blur (profile, n) of profiles of one grid's ``size``, default what they need; the blur is
+    (profile, 1) where it is the same for all places."""
     mean = some.mean(some.q)
     if bench.physics.diffraction:
         sigma, reach, slits = _window(bench, some, blur, shake)
@@ -113,8 +126,7 @@ def _of_profiles(
         q = (q[:, :, None] + some.shift[:, None, :]).reshape(len(q), -1)
         light = (light[:, :, None] * some.share[:, None, :]).reshape(len(q), -1)
         spread = spread if spread.shape[1] == 1 else np.repeat(spread, facets, axis=1)
-    # Its own mean is 0: the profiles are measured from the curve.
-    return adaptive(q, light, np.zeros(len(q)), blur=spread if spread.any() else 0.0)[1]
+    return q, light, spread
 
 
 def few_of(n: int, wanted: int) -> NDArray[np.intp]:
