@@ -232,6 +232,114 @@ def report(
     _do(jobs.report, json, folder=folder, output=output)
 
 
+trial_app = typer.Typer(
+    help="Concealed trials: is the diagnosis right when it cannot know?",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.add_typer(trial_app, name="trial")
+
+Cases = Annotated[int, typer.Option(min=1, help="Number of cases.")]
+TrialSeed = Annotated[
+    int | None,
+    typer.Option(min=0, help="Only to make an opened trial again; default 256 bits that nobody can guess."),
+]
+Shrink = Annotated[int, typer.Option(min=1, max=4, help="Divides the cameras' 2000 x 1500 pixels.")]
+Zero = Annotated[bool, typer.Option("--zero", help="The leak test's trial: every amplitude zero, all else the same.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Address of a running dask scheduler; its workers must see the same folders.")
+]
+Processes = Annotated[
+    int | None, typer.Option("--workers", min=0, help="Local processes; default one per core; 0: in this one.")
+]
+
+
+@trial_app.command("conceal")
+def trial_conceal(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for recordings/ and truth/.")] = Path("trial"),
+    cases: Cases = 60,
+    seed: TrialSeed = None,
+    shrink: Shrink = 2,
+    zero: Zero = False,
+    scheduler: Scheduler = None,
+    workers: Processes = None,
+    json: Json = False,
+) -> None:
+    """Draw benches, conceal effects in them, photograph them, and commit to the truth."""
+    from benchsim import trial
+
+    _do(
+        trial.conceal, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, scheduler=scheduler,
+        workers=workers,
+    )  # fmt: skip
+
+
+@trial_app.command("judge")
+def trial_judge(
+    recordings: Annotated[Path, typer.Argument(help="Folder recordings/ of a concealed trial, and nothing else.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the verdicts.")] = Path("verdicts"),
+    again: Annotated[
+        list[str] | None, typer.Option(help="Case to judge once more, recorded as such; may be repeated.")
+    ] = None,
+    scheduler: Scheduler = None,
+    workers: Processes = None,
+    json: Json = False,
+) -> None:
+    """Diagnose every recording once, and commit to the verdicts."""
+    from benchsim import trial
+
+    _do(
+        trial.judge, json, recordings=recordings, output=output, again=again or [], scheduler=scheduler,
+        workers=workers,
+    )  # fmt: skip
+
+
+Folder = Annotated[Path, typer.Argument(help="Folder of the trial: recordings/, truth/, verdicts/.")]
+
+
+@trial_app.command("open")
+def trial_open(folder: Folder, json: Json = False) -> None:
+    """Check every commitment, open, score cause, size and prediction, close the ledger."""
+    from benchsim import trial
+
+    _do(trial.open, json, folder=folder)
+
+
+@trial_app.command("verify")
+def trial_verify(
+    folder: Folder,
+    published: Annotated[str | None, typer.Option(help="A hash that was published: the ledger must hold it.")] = None,
+    recordings: Annotated[
+        bool, typer.Option("--recordings/--no-recordings", help="Check the images; without, they may be missing.")
+    ] = True,
+    json: Json = False,
+) -> None:
+    """Check that everything is as it was committed to; needs no secret."""
+    from benchsim import trial
+
+    _do(trial.verify, json, folder=folder, published=published, recordings=recordings)
+
+
+@trial_app.command("run")
+def trial_run(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the trial.")] = Path("trial"),
+    cases: Cases = 60,
+    seed: TrialSeed = None,
+    shrink: Shrink = 2,
+    zero: Zero = False,
+    scheduler: Scheduler = None,
+    workers: Processes = None,
+    json: Json = False,
+) -> None:
+    """A whole trial: conceal, judge in a process of its own, open, verify; a stopped one goes on."""
+    from benchsim import trial
+
+    _do(
+        trial.run, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, scheduler=scheduler,
+        workers=workers,
+    )  # fmt: skip
+
+
 def main() -> None:
     """Entry point of the console script."""
     app()

@@ -35,7 +35,7 @@ ALLOWED = {
         "render",
         "instruments",
     },
-    "trial": {"bench", "jobs"},
+    "trial": {"bench", "diagnosis", "rays", "render", "instruments", "jobs"},
     "cli": {"bench", "jobs", "trial"},
 }
 """Room → rooms it may import. ``report`` sees the result types of the rooms below it."""

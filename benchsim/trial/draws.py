@@ -1,0 +1,245 @@
+"""Draws of benches and of what is concealed in them, and how visible that is there.
+
+What is concealed is drawn by its signal-to-noise ratio: the whitened norm of what it changes in the data after setting
+errors, beam and camera are marginalised, in the problem that it is drawn for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import benchsim
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.fields import Field, field
+from benchsim.bench.files import read
+from benchsim.bench.model import Recording
+from benchsim.diagnosis.linear import Linear, columns, linearise, predict_all, whiten
+from benchsim.diagnosis.problem import Effect, Parameter, Problem
+
+Array = NDArray[np.float64]
+
+STRANGERS = ("dent", "ripple", "spot", "stage", "jump", "facets")
+"""Causes that no catalogue holds, and the element where each sits."""
+STRANGER_ELEMENT = {
+    "dent": "screen", "ripple": "screen", "spot": "camera", "stage": "source", "jump": "time", "facets": "mirror",
+}  # fmt: skip
+
+SNR = (6.0, 60.0)
+"""Whitened norms that are aimed at, log-uniform."""
+
+
+def campaign() -> Recording:
+    """The bench of twelve settings that comes with the package, from which benches are drawn."""
+    package = Path(benchsim.__file__).parent
+    for folder in (package / "scenes", package.parent / "scenes"):
+        if (folder / "campaign12.toml").is_file():
+            return read(folder / "campaign12.toml")
+    raise BenchsimError("scenes/campaign12.toml: not found beside the package; install benchsim anew")
+
+
+def bench(design: str, rng: np.random.Generator, shrink: int = 1) -> Recording:
+    """A recording's settings: ``six`` near those of the campaign, ``campaign`` itself, or ``fig7``, the two of Fig. 7.
+
+    ``shrink`` divides the cameras' resolution.
+    """
+    whole = campaign()
+    every = whole.exposures
+    if design == "fig7":
+        chosen = [every[0], every[1]]
+    elif design == "six":
+        # Six settings of which at least two poses of the screen; the repeat of the first setting comes along at times.
+        picked = np.sort(rng.choice(len(every), 6, replace=False))
+        chosen = [every[i] for i in picked]
+    else:
+        chosen = list(every)
+    jitter = {e.setting: rng.uniform(-1, 1, 5) for e in chosen}
+    moved = []
+    for e in chosen:
+        j = jitter[e.setting] if design == "six" else np.zeros(5)
+        x, y, z = e.mirror_position
+        moved.append(
+            replace(
+                e,
+                laser_azimuth=e.laser_azimuth + math.radians(5) * j[0],
+                laser_elevation=e.laser_elevation + math.radians(3) * j[1],
+                mirror_position=(x + 40 * j[2], y + 40 * j[3], z + 40 * j[4]),
+            )
+        )
+    used = {e.camera for e in moved}
+    cameras = {}
+    for name, c in whole.cameras.items():
+        if name in used:
+            (w, h), (cx, cy) = c.resolution, c.principal_point
+            cameras[name] = replace(
+                c,
+                resolution=(w // shrink, h // shrink),
+                focal=c.focal / shrink,
+                principal_point=((cx + 0.5) / shrink - 0.5, (cy + 0.5) / shrink - 0.5),
+            )
+    return replace(whole, exposures=tuple(moved), cameras=cameras)
+
+
+def amplitudes(effect: Effect) -> tuple[Parameter, ...]:
+    """Parameters of an effect that are no shapes."""
+    return tuple(p for p in effect.parameters if not p.grid)
+
+
+def shapes(effect: Effect, rng: np.random.Generator) -> dict[str, float]:
+    """A draw of its shape parameters, uniform over their range."""
+    return {p.name: float(rng.uniform(min(p.grid), max(p.grid))) for p in effect.parameters if p.grid}
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A problem linearised at its stated setting, nuisances marginalised: what a change of the data is worth."""
+
+    problem: Problem
+    linear: Linear
+    whitened: Array
+
+    @classmethod
+    def of(cls, problem: Problem) -> Sight:
+        """Of the whole catalogue, shapes at the middle of their range."""
+        every = tuple(p for e in problem.catalogue for p in amplitudes(e))
+        middle = {p.name: float(np.median(p.grid)) for e in problem.catalogue for p in e.parameters if p.grid}
+        linear = linearise(problem, middle, every)
+        n = linear.nuisance
+        # (1 + N Nᵀ)^(-1/2) applied by its projector: eigenvectors of N with 1/sqrt(1 + s²).
+        u, s, _ = np.linalg.svd(n, full_matrices=False)
+        whitened = u * (1 - 1 / np.sqrt(1 + s**2))
+        return cls(problem, linear, np.stack([whitened, u]))
+
+    def through(self, whitened: Array) -> Array:
+        """Whitened data with the nuisances marginalised: their norm is an SNR."""
+        w, u = self.whitened
+        return whitened - w @ (u.T @ whitened)
+
+    def change(self, values: Mapping[str, float]) -> Array:
+        """What parameters change in the data, in sigma, nuisances marginalised."""
+        zero = {k: v for k, v in values.items() if k in _shape_names(self.problem)}
+        delta = predict_all(self.problem, values) - predict_all(self.problem, zero)
+        return self.through(whiten(self.problem, self.problem.covariance, delta)[0])
+
+    def column(self, parameter: Parameter, at: Mapping[str, float]) -> Array:
+        """Of one amplitude at given shapes."""
+        j = columns(self.problem, at, (parameter,))
+        return self.through(whiten(self.problem, self.problem.covariance, j)[0])[:, 0]
+
+    def rival(self, delta: Array, own: tuple[str, ...]) -> tuple[str, float]:
+        """Nearest other single or pair that does not hold the truth, amplitudes and nuisances refitted [sigma]."""
+        names = {p.name: e.name for e in self.problem.catalogue for p in amplitudes(e)}
+        groups: dict[str, list[int]] = {}
+        for k, parameter in enumerate(self.linear.names):
+            groups.setdefault(names[parameter], []).append(k)
+        j = self.through(self.linear.effect)
+        best = ("", float(np.linalg.norm(delta)))
+        every = list(groups)
+        for i, a in enumerate(every):
+            for b in every[i:]:
+                members = {a, b}
+                if set(own) <= members:
+                    continue
+                cols = j[:, sorted({*groups[a], *groups[b]})]
+                scale = np.linalg.norm(cols, axis=0)
+                cols = cols[:, scale > 1e-9] / scale[scale > 1e-9]
+                rest = delta - cols @ np.linalg.lstsq(cols, delta, rcond=1e-9)[0] if cols.size else delta
+                distance = float(np.linalg.norm(rest))
+                if distance < best[1]:
+                    best = ("+".join(sorted(members)), distance)
+        return best
+
+
+def _shape_names(problem: Problem) -> set[str]:
+    return {p.name for e in problem.catalogue for p in e.parameters if p.grid}
+
+
+def draw_effect(
+    sight: Sight, effect: Effect, rng: np.random.Generator, snr: tuple[float, float] = SNR
+) -> dict[str, float]:
+    """Values of an effect whose SNR in this problem is the one drawn, or as near as its caps let it come."""
+    own = amplitudes(effect)
+    direction = rng.standard_normal(len(own))
+    if effect.random_field:
+        direction -= direction.mean()
+    direction /= np.linalg.norm(direction)
+    direction = np.array([abs(d) if p.one_sided or p.power > 1 else d for d, p in zip(direction, own, strict=True)])
+    at = shapes(effect, rng)
+    target = float(np.exp(rng.uniform(*np.log(snr))))
+    cap = np.array([2 * p.sigma for p in own])
+    probe = {**at, **{p.name: 0.2 * d * c for p, d, c in zip(own, direction, cap, strict=True)}}
+    size = float(np.linalg.norm(sight.change(probe)))
+    power = max(p.power for p in own)
+    factor = 0.2 * (target / max(size, 1e-12)) ** (1.0 / power)
+    factor = min(factor, 1.0 / max(float(np.abs(direction).max()), 1e-12))
+    return {**at, **{p.name: float(factor * d * c) for p, d, c in zip(own, direction, cap, strict=True)}}
+
+
+def below_the_settings(
+    sight: Sight, effect: Effect, values: Mapping[str, float], rng: np.random.Generator
+) -> dict[str, float]:
+    """The same effect, smaller: it moves the data by 5 to 50 % of what setting errors of 1 sigma move them by.
+
+    Nothing is marginalised here: both are what an eye sees on the board, in sigma of the data.
+    """
+    problem, own = sight.problem, {p.name: p for p in amplitudes(effect)}
+    delta = predict_all(problem, values) - predict_all(problem, {k: v for k, v in values.items() if k not in own})
+    moved = float(np.linalg.norm(whiten(problem, problem.covariance, delta)[0]))
+    # Root of the expected square over draws of every setting error from its prior.
+    scaled = np.array([p.scaled for p in problem.nuisances])
+    errors = float(np.linalg.norm(sight.linear.nuisance[:, scaled]))
+    factor = min(1.0, float(rng.uniform(0.05, 0.5)) * errors / max(moved, 1e-12))
+    return {k: v * factor ** (1 / own[k].power) if k in own else v for k, v in values.items()}
+
+
+def nothing(values: Mapping[str, float], effect: Effect) -> dict[str, float]:
+    """The same effect with its amplitudes zero and its shapes as they were."""
+    own = {p.name for p in amplitudes(effect)}
+    return {k: 0.0 if k in own else v for k, v in values.items()}
+
+
+def draw_stranger(kind: str, recording: Recording, rng: np.random.Generator) -> dict[str, Field]:
+    """A cause that no catalogue holds, as a free field; its amplitude is of the order of a few to many sigma."""
+    size = float(np.exp(rng.uniform(math.log(0.5), math.log(5.0))))
+    y = np.linspace(-350, 350, 71)
+    board_y, board_z = np.meshgrid(y, y, indexing="ij")
+    if kind == "dent":
+        place, width = rng.uniform(-200, 200, 2), rng.uniform(40, 90)
+        bump = np.exp(-((board_y - place[0]) ** 2 + (board_z - place[1]) ** 2) / (2 * width**2))
+        return {"height": field([y, y], [size * bump])}
+    if kind == "ripple":
+        k, phase = rng.uniform(0.015, 0.045, 2) * rng.choice([-1, 1], 2), rng.uniform(0, 2 * math.pi)
+        return {"height": field([y, y], [0.3 * size * np.sin(k[0] * board_y + k[1] * board_z + phase)])}
+    if kind == "spot":
+        c = next(iter(recording.cameras.values()))
+        u, v = (np.linspace(0, n - 1, 61) for n in c.resolution)
+        centre = [rng.uniform(0.3, 0.7) * n for n in c.resolution]
+        width = 0.05 * c.resolution[0]
+        bump = np.exp(-((u[:, None] - centre[0]) ** 2 + (v[None, :] - centre[1]) ** 2) / (2 * width**2))
+        lean = rng.uniform(0, 2 * math.pi)
+        return {"pixel": field([u, v], [0.5 * size * math.cos(lean) * bump, 0.5 * size * math.sin(lean) * bump])}
+    if kind == "stage":
+        azimuth, elevation = np.linspace(0, 2 * math.pi, 121), np.array([0.0, math.pi / 2])
+        wave = 2e-3 * size * np.sin(3 * azimuth + rng.uniform(0, 2 * math.pi))
+        both = np.repeat(wave[:, None], 2, axis=1)
+        return {"stage": field([azimuth, elevation], [both, 0 * both])}
+    if kind == "jump":
+        times = [e.time for e in recording.exposures]
+        moment = rng.uniform(min(times) + 1.0, max(times))
+        t = np.array([min(times) - 1.0, moment - 0.5, moment + 0.5, max(times) + 1.0])
+        lean = rng.uniform(0, 2 * math.pi)
+        step = np.array([0.0, 0.0, 1.0, 1.0]) * size
+        return {"time": field([t], [step * math.cos(lean), step * math.sin(lean)])}
+    turn, facet = np.linspace(-0.2, 0.2, 41), np.arange(recording.mirror.facets, dtype=float)
+    wave = 0.1e-3 * size * np.sin(2 * math.pi * turn / rng.uniform(0.05, 0.15) + rng.uniform(0, 2 * math.pi))
+    return {"lean": field([turn, facet], [np.repeat(wave[:, None], len(facet), axis=1)])}
+
+
+def as_effects(values: Mapping[str, float], effect: Effect) -> dict[str, dict[str, float]]:
+    """Values of one effect as a recording's ``[effects]``."""
+    return {effect.name: {p.name: values[p.name] for p in effect.parameters if p.name in values}}

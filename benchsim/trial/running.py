@@ -1,0 +1,75 @@
+"""``benchsim trial run``: a whole trial on this machine, each part as its own command would do it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.jobs.progress import Progress, silent
+from benchsim.trial import ledger
+from benchsim.trial.concealing import conceal
+from benchsim.trial.opening import OpenResult, open
+from benchsim.trial.verifying import verify
+
+Judge = Callable[[Path, Path, str | None, int | None], None]
+"""judge(recordings, verdicts, scheduler, workers)."""
+
+
+def apart(recordings: Path, verdicts: Path, scheduler: str | None, workers: int | None) -> None:
+    """Judge in a process of its own that is told two folders, of recordings and for verdicts, and nothing else."""
+    command = [sys.executable, "-m", "benchsim", "trial", "judge", str(recordings), "-o", str(verdicts)]
+    command += ["--scheduler", scheduler] if scheduler else []
+    command += ["--workers", str(workers)] if workers is not None else []
+    done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
+    if done.returncode != 0:
+        raise BenchsimError(f"the judge ended with {done.returncode}; run the command again to go on")
+
+
+def run(
+    output: Path | str,
+    cases: int = 60,
+    *,
+    seed: int | None = None,
+    shrink: int = 2,
+    zero: bool = False,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    judge: Judge = apart,
+    progress: Progress = silent,
+) -> OpenResult:
+    """Conceal, judge, open and verify. A stopped run goes on where it was.
+
+    Parameters
+    ----------
+    output : path
+    cases, seed, shrink, zero
+        As `conceal`.
+    scheduler : str, optional
+        Of a running Dask cluster that sees the same folders.
+    workers : int, optional
+        Local processes where there is none; default one per core.
+    judge : callable
+        See `Judge`.
+
+    Raises
+    ------
+    BenchsimError
+        As the parts.
+    """
+    folder = Path(output).absolute()
+    conceal(
+        folder, cases, seed=seed, shrink=shrink, zero=zero, scheduler=scheduler, workers=workers,
+        progress=lambda what, done: progress(what, 0.4 * done),
+    )  # fmt: skip
+    progress("judging", 0.4)
+    path = folder / "verdicts" / ledger.NAME
+    if not (path.exists() and ledger.standing(ledger.read(path)).committed):
+        judge(folder / "recordings", folder / "verdicts", scheduler, workers)
+    progress("opening", 0.95)
+    result = open(folder)
+    verify(folder)
+    progress("done", 1.0)
+    return result
