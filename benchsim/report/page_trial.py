@@ -31,7 +31,7 @@ labels are ready to read.
      "verified": true,                             # or false, or null where it was not checked
      "commands": ["benchsim trial run --cases 60 --seed 7"]}
 
-Any list may be empty, and ``bars``, ``commands``, ``verified`` may be left out: what is not there is not shown.
+``format``, ``title``, ``headline`` and ``cases`` must be there; what else is left out, or empty, is not shown.
 """
 
 from __future__ import annotations
@@ -56,18 +56,21 @@ def shown(score: Mapping[str, Any]) -> dict[str, Any]:
     score : mapping
         In the form above.
     """
-    snr = [p["snr"] for e in score.get("power", []) for p in e["points"] if p["of"]]
+    absent = {"confusion": {"concealed": [], "said": [], "counts": []}, "verified": None}
+    lists: dict[str, Any] = {key: [] for key in ("reliability", "power", "bars", "ledger", "commands")}
+    score = {**absent, **lists, **score}
+    snr = [p["snr"] for e in score["power"] for p in e["points"] if p["of"]]
     span = (min([3.0, *snr]) / 1.1, max([30.0, *snr]) * 1.1)
-    confusion = score.get("confusion") or {"concealed": [], "said": [], "counts": []}
+    confusion = score["confusion"]
     return {
         "score": score,
         "outcomes": OUTCOMES,
         "counted": {
             part: Counter(case.get(part, "") for case in score["cases"]) for part in ("cause", "size", "prediction")
         },
-        "reliability": page_plots.reliability(score["reliability"]) if score.get("reliability") else None,
-        "power": [page_plots.power(e["effect"], e["points"], span) for e in score.get("power", [])],
-        "effects": [e["effect"] for e in score.get("power", [])],
+        "reliability": page_plots.reliability(score["reliability"]) if score["reliability"] else None,
+        "power": [page_plots.power(e["effect"], e["points"], span) for e in score["power"]],
+        "effects": [e["effect"] for e in score["power"]],
         "confusion": confusion,
         "most": max((n for row in confusion["counts"] for n in row), default=0) or 1,
         "rows": [(name, row, sum(row)) for name, row in zip(confusion["concealed"], confusion["counts"], strict=True)],
