@@ -1,12 +1,12 @@
 """Unknown functions that compete with the names: one Gaussian process per attachment, weighed by its evidence.
 
 An attachment adds B c to the prediction, c ~ N(0, a² R(ℓ)), R_ij = exp(−½ |k_i − k_j|²/ℓ²) for knots of one
-component. In the marginal space of `linear` (nuisances integrated, products through M⁻¹) with R = L Lᵀ, W = Lᵀ Bᵀ M⁻¹
-B L = V diag(w) Vᵀ and u = Vᵀ Lᵀ Bᵀ M⁻¹ r, its gain in ln Z over the hypothesis it is laid on is
+component. In the marginal space of `linear` (nuisances integrated, products through M⁻¹) with R = L Lᵀ, G = Lᵀ Bᵀ M⁻¹
+B L and u = Lᵀ Bᵀ M⁻¹ r, its gain in ln Z over the hypothesis it is laid on is
 
-    −½ Σ ln(1 + a² w) + ½ Σ a² u² / (1 + a² w) ,
+    −½ ln |1 + a² G| + ½ a² uᵀ (1 + a² G)⁻¹ u ,
 
-one eigen-decomposition for all amplitudes. The rms a is integrated with a uniform prior up to the attachment's
+one tridiagonal form for all amplitudes. The rms a is integrated with a uniform prior up to the attachment's
 ``sigma``: a prior uniform in ln a would spare the function the price that a named amplitude pays for its cap, and
 every true name would lose to its own element's function. The length is integrated over the attachment's list. An
 attachment is present with the prior probability of one catalogue effect, shared among all attachments.
@@ -16,11 +16,13 @@ Not to be used where the prediction bends over the size of what is sought: the b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dsytrd
 from scipy.special import logsumexp
 
 from benchsim.diagnosis.fits import Fit, Naming
@@ -31,6 +33,9 @@ Array = NDArray[np.float64]
 
 PRESENCE = 0.02
 """Prior probability that any attachment at all is there: that of one effect of the catalogue."""
+
+VISIBLE = 1e-6
+"""Directions whose signal at the largest plausible rms has a variance below this, in that of the noise, are dropped."""
 
 _STEPS = 21
 _ROUNDS = 3
@@ -69,32 +74,58 @@ class Attached:
 
 @dataclass(frozen=True)
 class Prepared:
-    """An attachment in the coefficients that its kernels can tell apart; the same for all hypotheses and folds.
+    """An attachment in what its kernels let the data see, for each length: standard normal amplitudes times the rms.
 
     Attributes
     ----------
     attachment : Attachment
-    lift : (K, m)
-        Orthonormal columns: the attachment's coefficients of the m that are worked with.
-    basis : (n, m)
-    roots : tuple of (m, r)
-        Of each length.
+    roots : tuple of (K, r)
+        Coefficients per unit of the amplitudes; L of the module, without directions that no data show.
+    columns : tuple of (n, r)
+        Data per unit of the amplitudes.
+    white, squares : tuple of (n, r), tuple of (r, r)
+        The columns whitened by one noise, 0 where data are left out, and their products with each other.
     """
 
     attachment: Attachment
-    lift: Array
-    basis: Array
     roots: tuple[Array, ...]
+    columns: tuple[Array, ...]
+    white: tuple[Array, ...] = ()
+    squares: tuple[Array, ...] = ()
 
 
-def prepare(problem: Problem) -> tuple[Prepared, ...]:
-    """All attachments of a problem, prepared once."""
+def prepare(problem: Problem, covariance: tuple[Array, ...]) -> tuple[Prepared, ...]:
+    """All attachments of a problem, prepared once; ``covariance`` of the blocks says what data can show."""
     out = []
     for a in problem.attachments:
-        roots = [kernel_root(a, length) for length in a.lengths]
-        lift, size, _ = np.linalg.svd(np.column_stack(roots), full_matrices=False)
-        lift = lift[:, size > 1e-4 * size[0]]
-        out.append(Prepared(a, lift, a.basis @ lift, tuple(lift.T @ r for r in roots)))
+        roots = []
+        for length in a.lengths:
+            root = kernel_root(a, length)
+            seen, _ = whiten(problem, covariance, a.basis @ root)
+            variance, turn = np.linalg.eigh(seen.T @ seen)
+            roots.append(root @ turn[:, variance * a.sigma**2 > VISIBLE])
+        out.append(Prepared(a, tuple(roots), tuple(a.basis @ r for r in roots)))
+    return whitened(problem, tuple(out), covariance)
+
+
+def whitened(
+    problem: Problem,
+    prepared: tuple[Prepared, ...],
+    covariance: tuple[Array, ...],
+    keep: NDArray[np.bool_] | None = None,
+) -> tuple[Prepared, ...]:
+    """The same under another noise, for the data in ``keep`` (whole blocks; default all)."""
+    if not prepared:
+        return ()
+    columns = [c for p in prepared for c in p.columns]
+    white, _ = whiten(problem, covariance, np.column_stack(columns))
+    if keep is not None:
+        white[~keep] = 0.0
+    parts = iter(np.split(white, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1))
+    out = []
+    for p in prepared:
+        own = tuple(np.ascontiguousarray(next(parts)) for _ in p.columns)
+        out.append(replace(p, white=own, squares=tuple(w.T @ w for w in own)))
     return tuple(out)
 
 
@@ -126,6 +157,42 @@ def with_columns(linear: Linear, columns: Array) -> Linear:
     return replace(linear, nuisance=np.column_stack([linear.nuisance, columns]), scaled=scaled)
 
 
+@dataclass(frozen=True)
+class _Ground:
+    """A hypothesis that functions are laid on, with products that all of them share.
+
+    ``cells`` are, for every setting scale: the scale, ln of its weight times the likelihood without a function, the
+    lower root of S⁻² + Nᵀ N, and its solution for Nᵀ r. ``offset`` turns ln Z of this scale into that of the fits.
+    """
+
+    plain: Linear
+    nuisance: Array
+    residual: Array
+    cells: tuple[tuple[float, float, Array, Array], ...]
+    offset: float = 0.0
+
+    @property
+    def log_evidence(self) -> float:
+        return float(logsumexp([known for _, known, _, _ in self.cells])) + self.offset
+
+
+def _ground(
+    problem: Problem, naming: Naming, plain: Linear, keep: NDArray[np.bool_] | None = None, offset: float = 0.0
+) -> _Ground:
+    base = absorb(problem, plain)
+    use = np.ones(len(base.residual), bool) if keep is None else keep
+    n_cols, r = base.nuisance * use[:, None], base.residual * use
+    inner, cross = n_cols.T @ n_cols, n_cols.T @ r
+    cells = []
+    for scale, weight in zip(naming.setting_scales, naming.scale_weights, strict=True):
+        s = np.where(base.scaled, float(scale), 1.0)
+        lower = np.linalg.cholesky(np.diag(s**-2.0) + inner)
+        half = solve_triangular(lower, cross, lower=True)
+        logdet = 2 * float(np.log(np.diag(lower)).sum() + np.log(s).sum())
+        cells.append((float(scale), float(np.log(weight)) - 0.5 * (float(r @ r - half @ half) + logdet), lower, half))
+    return _Ground(plain, n_cols, r, tuple(cells), offset)
+
+
 def weigh(
     problem: Problem,
     naming: Naming,
@@ -142,6 +209,7 @@ def weigh(
     problem : Problem
     naming : Naming
     prepared : tuple of Prepared
+        Whitened by the naming's noise, for the data in ``keep``.
     on : Fit, optional
         The hypothesis; default the null.
     keep : (n,) bool, optional
@@ -155,11 +223,10 @@ def weigh(
         Most probable first; empty where the problem has no attachments.
     """
     on = on or naming.null
-    plain = on.linear if linear is None else linear
+    ground = _ground(problem, naming, on.linear if linear is None else linear, keep)
     known = on.log_evidence if log_evidence is None else log_evidence
-    offset = known - _alone(naming, absorb(problem, plain), keep) + _prior(problem)
-    found = [_one(problem, p, plain, naming, keep, offset) for p in prepared]
-    return tuple(sorted(found, key=lambda a: -a.log_evidence))
+    ground = replace(ground, offset=known - ground.log_evidence + _prior(problem))
+    return tuple(sorted((_one(p, ground) for p in prepared), key=lambda a: -a.log_evidence))
 
 
 def refine(problem: Problem, naming: Naming, prepared: tuple[Prepared, ...], laid: Attached, on: Fit) -> Attached:
@@ -178,7 +245,7 @@ def refine(problem: Problem, naming: Naming, prepared: tuple[Prepared, ...], lai
         What it is laid on.
     """
     own = next(p for p in prepared if p.attachment.name == laid.attachment.name)
-    offset = on.log_evidence - _alone(naming, absorb(problem, on.linear), None) + _prior(problem)
+    offset = on.log_evidence - _ground(problem, naming, on.linear).log_evidence + _prior(problem)
     white, _ = whiten(problem, naming.noise.covariance, own.attachment.basis)
     p = len(problem.nuisances)
     here = np.array([on.values.get(q.name, 0.0) / q.sigma for q in problem.nuisances])
@@ -194,7 +261,8 @@ def refine(problem: Problem, naming: Naming, prepared: tuple[Prepared, ...], lai
         if not np.isfinite(bent).all() or np.linalg.norm(bent) < _STRAIGHT:
             break
         known = amplitudes(problem, laid.linear.names)
-        laid = _one(problem, own, linearise(problem, at, known, naming.noise.covariance), naming, None, offset)
+        plain = linearise(problem, at, known, naming.noise.covariance)
+        laid = _one(own, _ground(problem, naming, plain, offset=offset))
         here, predicted, values = pull[:p], there, at
     return laid
 
@@ -204,63 +272,46 @@ def _prior(problem: Problem) -> float:
     return float(np.log(PRESENCE / (1 - PRESENCE) / max(1, len(problem.attachments))))
 
 
-def _cells(naming: Naming, base: Linear, nn: Array, nb: Array, rr: float) -> list[tuple[float, float, Array]]:
-    """At every setting scale: the scale, ln of its weight times the likelihood, and the inner matrix solved for nb."""
-    out = []
-    for scale, weight in zip(naming.setting_scales, naming.scale_weights, strict=True):
-        s = np.where(base.scaled, float(scale), 1.0)
-        factor = cho_factor(np.diag(s**-2.0) + nn, lower=True)
-        solved = cho_solve(factor, nb)
-        logdet = 2 * float(np.log(np.diag(factor[0])).sum() + np.log(s).sum())
-        chi2 = rr - float(nb[:, 0] @ solved[:, 0])
-        out.append((float(scale), float(np.log(weight)) - 0.5 * (chi2 + logdet), solved))
-    return out
-
-
-def _alone(naming: Naming, base: Linear, keep: NDArray[np.bool_] | None) -> float:
-    """ln Z of the data without any function, but for a constant of the data and the prior of presence."""
-    use = slice(None) if keep is None else keep
-    n_cols, r = base.nuisance[use], base.residual[use]
-    cells = _cells(naming, base, n_cols.T @ n_cols, (n_cols.T @ r)[:, None], float(r @ r))
-    return float(logsumexp([c[1] for c in cells]))
-
-
-def _one(
-    problem: Problem,
-    prepared: Prepared,
-    plain: Linear,
-    naming: Naming,
-    keep: NDArray[np.bool_] | None,
-    offset: float,
-) -> Attached:
-    """One attachment; ``offset`` turns ln Z as `_alone` gives it into that of the fits."""
-    white, _ = whiten(problem, naming.noise.covariance, prepared.basis)
-    base = absorb(problem, plain)
-    use = slice(None) if keep is None else keep
-    n_cols, r, b_cols = base.nuisance[use], base.residual[use], white[use]
-    both = np.column_stack([r, b_cols])
-    nb, bb = n_cols.T @ both, b_cols.T @ both
+def _one(prepared: Prepared, ground: _Ground) -> Attached:
+    """One attachment on one hypothesis."""
     attachment = prepared.attachment
     rms = np.geomspace(attachment.sigma * _SMALLEST, attachment.sigma, _STEPS)
     # Uniform in the rms itself, on a grid that is even in its logarithm.
     log_prior = np.log(rms / rms.sum() / len(prepared.roots))
-    best = (-np.inf, 0.0, 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
-    terms: list[Array] = []
-    # As `linear.marginal`, with the products of the data taken once for all scales and lengths.
-    for scale, known, solved in _cells(naming, base, n_cols.T @ n_cols, nb, float(r @ r)):
-        gram = bb - nb[:, 1:].T @ solved
-        for length, root in zip(attachment.lengths, prepared.roots, strict=True):
-            values, vectors = np.linalg.eigh(root.T @ gram[:, 1:] @ root)
-            values = np.clip(values, 0, None)
-            u = vectors.T @ (root.T @ gram[:, 0])
-            shrink = rms[:, None] ** 2 / (1 + rms[:, None] ** 2 * values)
-            gain = 0.5 * (shrink @ u**2 - np.log1p(rms[:, None] ** 2 * values).sum(axis=1))
-            cells = known + gain + log_prior
-            terms.append(cells)
-            k = int(np.argmax(cells))
-            if cells[k] > best[0]:
-                mean = root @ (vectors @ (shrink[k] * u))
-                best = (float(cells[k]), float(rms[k]), length, scale, mean, root * rms[k])
-    total = float(logsumexp(np.concatenate(terms))) + offset if np.any(white) else -np.inf
-    lifted, root = prepared.lift @ best[4], prepared.lift @ best[5]
-    return Attached(attachment, total, best[1], best[2], best[3], lifted, root, plain)
+    each = []
+    for length, root, white, square in zip(
+        attachment.lengths, prepared.roots, prepared.white, prepared.squares, strict=True
+    ):
+        cross, along = ground.nuisance.T @ white, white.T @ ground.residual
+        for scale, known, lower, half in ground.cells:
+            taken = solve_triangular(lower, cross, lower=True)
+            each.append((known, scale, length, root, square - taken.T @ taken, along - taken.T @ half))
+    cells = np.array([c[0] for c in each])[:, None] + _gains([(c[4], c[5]) for c in each], rms) + log_prior
+    total = float(logsumexp(cells)) + ground.offset if any(r.shape[1] for r in prepared.roots) else -np.inf
+    i, k = np.unravel_index(np.argmax(cells), cells.shape)
+    _, scale, length, root, gram, projection = each[i]
+    mean = np.linalg.solve(np.eye(len(gram)) / rms[k] ** 2 + gram, projection)
+    return Attached(attachment, total, float(rms[k]), length, scale, root @ mean, root * rms[k], ground.plain)
+
+
+def _gains(cells: Sequence[tuple[Array, Array]], rms: Array) -> Array:
+    """−½ ln |1 + a² G| + ½ a² uᵀ (1 + a² G)⁻¹ u of every (G, u) and rms a, (c, m).
+
+    The reflections that make [[0, uᵀ], [u, G]] tridiagonal leave its first place alone, so both are read off a
+    recurrence for any a, at a quarter of the cost of an eigen-decomposition.
+    """
+    size = max(len(u) for _, u in cells)
+    diagonal, beside = np.zeros((size + 1, len(cells), 1)), np.zeros((size + 1, len(cells), 1))
+    for i, (gram, u) in enumerate(cells):
+        bordered = np.zeros((len(u) + 1, len(u) + 1), order="F")
+        bordered[1:, 0], bordered[1:, 1:] = u, gram
+        _, d, e, _, _ = dsytrd(bordered, lower=1, lwork=32 * len(bordered), overwrite_a=True)
+        diagonal[: len(d), i, 0], beside[: len(e), i, 0] = d, e
+    power = rms**2
+    pivot = np.ones((size + 1, len(cells), len(rms)))
+    for j in range(size, 0, -1):
+        below = pivot[j + 1] if j < size else 1.0
+        pivot[j] = 1 + power * diagonal[j] - (power * beside[j]) ** 2 / below
+    first = pivot[1] if size else 1.0
+    gains: Array = 0.5 * power * beside[0] ** 2 / first - 0.5 * np.log(pivot[1:]).sum(axis=0)
+    return gains

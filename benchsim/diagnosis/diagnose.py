@@ -88,7 +88,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     """Let names and functions without a name compete, look for what is left, and apply the rules."""
     notes: list[str] = []
     best = _best(problem, naming, notes)
-    prepared = attachments.prepare(problem)
+    prepared = attachments.prepare(problem, naming.noise.covariance)
     free = _weigh(problem, naming, prepared, naming.null)
     more = free if best.claim is None else _weigh(problem, naming, prepared, best.fit)
     modes = remainder.modes(problem, naming.linear, naming.noise.covariance)

@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from benchsim.diagnosis import noise as noises
 from benchsim.diagnosis import screen
-from benchsim.diagnosis.attachments import Attached, Prepared, weigh
+from benchsim.diagnosis.attachments import Attached, Prepared, weigh, whitened
 from benchsim.diagnosis.classes import estimate, space
 from benchsim.diagnosis.fits import Effects, Naming
 from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, whiten
@@ -166,7 +166,8 @@ def choose(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> tupl
     named = max(found, key=lambda h: found[h])
     # About the same point as the names: else they would be weighed on two different scales.
     plain = replace(fold.linear, effect=fold.linear.effect[:, :0], names=())
-    laid = weigh(problem, fold.naming, prepared, keep=~fold.test, linear=plain, log_evidence=found[()])
+    seen = whitened(problem, prepared, fold.naming.noise.covariance, ~fold.test)
+    laid = weigh(problem, fold.naming, seen, keep=~fold.test, linear=plain, log_evidence=found[()])
     if laid and laid[0].log_evidence > found[named]:
         return (), laid[0]
     return named, None

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.attachments import Attached, absorb, prepare, weigh
+from benchsim.diagnosis.attachments import Attached, absorb, prepare, weigh, whitened
 from benchsim.diagnosis.fits import Fit, Naming
 from benchsim.diagnosis.held_out import Fold, best_scale, excess, only
 from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, whiten
@@ -158,13 +158,14 @@ def law(problem: Problem, naming: Naming, on: Fit, laid: Attached, many: Sequenc
     if not many:
         return None, "No law is published: with fewer than three settings it could not be tested on one left out."
     attachment = laid.attachment
-    one = prepare(replace(problem, attachments=(attachment,)))
+    one = prepare(replace(problem, attachments=(attachment,)), naming.noise.covariance)
     parts: dict[bool, list[tuple[float, float, float]]] = {True: [], False: []}
     for fold in many:
         own = _own(fold.linear, on)
         base, train_on = absorb(problem, own), ~fold.test
         white, _ = whiten(problem, fold.naming.noise.covariance, attachment.basis)
-        fitted = weigh(problem, fold.naming, one, keep=train_on, linear=own, log_evidence=0.0)[0]
+        seen = whitened(problem, one, fold.naming.noise.covariance, train_on)
+        fitted = weigh(problem, fold.naming, seen, keep=train_on, linear=own, log_evidence=0.0)[0]
         train = only(base, train_on)
         scale = best_scale(train, fold.naming, white[train_on] @ fitted.root)
         terms, amplitudes = select(attachment, white[train_on], train, scale)

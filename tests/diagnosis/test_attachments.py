@@ -29,7 +29,7 @@ def test_the_kernel_falls_with_distance_and_not_across_components():
 def test_evidence_is_the_dense_gaussian_integral():
     problem = toy({"bow": 0.1}, 1, blocks=3)
     found = naming.name(problem)
-    laid = attachments.weigh(problem, found, attachments.prepare(problem))
+    laid = attachments.weigh(problem, found, attachments.prepare(problem, found.noise.covariance))
     null, covariance = found.null, found.noise.covariance
     got = next(a for a in laid if a.attachment.name == "mirror.lean")
     white, _ = whiten(problem, covariance, got.attachment.basis)
@@ -56,7 +56,7 @@ def contest(truth, seeds, **options):
     for seed in seeds:
         problem = toy(truth, seed, **options)
         found = naming.name(problem, refits=5)
-        laid = attachments.weigh(problem, found, attachments.prepare(problem))
+        laid = attachments.weigh(problem, found, attachments.prepare(problem, found.noise.covariance))
         out.append(max(f.log_evidence for f in found.fits if f.converged) - laid[0].log_evidence)
     return np.array(out)
 
@@ -95,7 +95,8 @@ def test_a_function_is_weighed_about_its_own_nuisances():
     noise = 0.05 * np.random.default_rng(10).normal(size=len(start))
     data = np.concatenate([model(at, b) for b in range(8)]) + noise
     problem = replace(problem, predict=model, data=data)
-    found, prepared = naming.name(problem, refits=5), attachments.prepare(problem)
+    found = naming.name(problem, refits=5)
+    prepared = attachments.prepare(problem, found.noise.covariance)
     first = next(a for a in attachments.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
     again = attachments.refine(problem, found, prepared, first, found.null)
     wrong = []

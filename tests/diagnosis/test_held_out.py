@@ -12,7 +12,11 @@ from benchsim.diagnosis import attachments, classes, held_out, naming
 def prepared(problem):
     found = naming.name(problem, refits=5)
     best = next(f for f in found.fits if f.converged)
-    return found, held_out.folds(problem, found, classes.about(found, best)), attachments.prepare(problem)
+    return (
+        found,
+        held_out.folds(problem, found, classes.about(found, best)),
+        attachments.prepare(problem, found.noise.covariance),
+    )
 
 
 def test_clean_settings_have_no_excess():
