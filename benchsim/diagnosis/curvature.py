@@ -67,7 +67,7 @@ def measure(problem: Problem) -> Curvature:
     bend = np.zeros_like(first)
     alone: dict[tuple[int, int, float], Array] = {}
     for (b, k, sign), f in zip(tasks, found, strict=True):
-        rows, change = problem.rows(b), np.asarray(f) - plain[b]
+        rows, change = problem.rows(b), _finite(np.asarray(f) - plain[b])
         first[rows, k] += sign * change / (2 * STEP)
         bend[rows, k] += change / STEP**2
         alone[b, k, sign] = change
@@ -92,7 +92,7 @@ def measure(problem: Problem) -> Curvature:
     ]
     found = predictions(problem, both, [b for b, _, _ in pairs])
     for (b, i, j), f in zip(pairs, found, strict=True):
-        mixed = (np.asarray(f) - plain[b] - steps[b][:, i] - steps[b][:, j]) / STEP**2
+        mixed = _finite(np.asarray(f) - plain[b] - steps[b][:, i] - steps[b][:, j]) / STEP**2
         second[b][:, i, j] = second[b][:, j, i] = mixed
     return Curvature(first, tuple(curved), tuple(second), plain, tuple(steps))
 
@@ -115,8 +115,16 @@ def _with_others(
     out = np.zeros((len(problem.data), len(nuisances)))
     for b in blocks:
         for k in acting[b]:
-            out[problem.rows(b), k] = moved[b, -1] - moved[b, k] - alone[b, k, signs[k]]
+            out[problem.rows(b), k] = _finite(moved[b, -1] - moved[b, k] - alone[b, k, signs[k]])
     return out
+
+
+def _finite(change: Array) -> Array:
+    """A change; 0 where one step leaves what can be predicted (light beside the mirror): nothing is known of it there.
+
+    Steps of fits are taken on exact predictions, so what is lost is their speed.
+    """
+    return change if np.isfinite(change).all() else np.zeros_like(change)
 
 
 def mixed(
@@ -162,8 +170,9 @@ def mixed(
         if i < 0:
             alone[b, i] = np.asarray(f)
         else:
-            out[b][:, i] = (np.asarray(f) - alone[b, -1] - about.steps[b][:, i]) / (STEP * amplitude)
-    bend = [4 * (alone[b, -1] - 2 * alone[b, -2] + about.plain[b]) / amplitude**2 for b in range(len(problem.names))]
+            out[b][:, i] = _finite(np.asarray(f) - alone[b, -1] - about.steps[b][:, i]) / (STEP * amplitude)
+    blocks = range(len(problem.names))
+    bend = [4 * _finite(alone[b, -1] - 2 * alone[b, -2] + about.plain[b]) / amplitude**2 for b in blocks]
     return tuple(out), np.concatenate(bend), len(tasks)
 
 

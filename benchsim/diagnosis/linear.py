@@ -176,7 +176,9 @@ def columns_at(
     out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
     for (i, k, b, sign, width), predicted in zip(tasks, predictions(problem, values, blocks), strict=True):
         out[i][problem.rows(b), k] += sign * np.asarray(predicted) / width
-    return out
+    # Beside a point from which light just hits, a step may find none: no derivative is better than one that is not
+    # finite, since steps of fits are taken on exact predictions.
+    return [np.where(np.isfinite(j), j, 0.0) for j in out]
 
 
 def predictions(problem: Problem, values: Sequence[Values], blocks: Sequence[int]) -> list[Array]:

@@ -352,7 +352,7 @@ class _Model:
     """Residual and derivatives to second order about a point, all whitened.
 
     ``known`` and ``own`` are the derivatives there, ``second`` those by pairs of nuisances, per block, ``changes`` the
-    amplitudes' M and bend (None: not needed).
+    amplitudes' M and bend (None: not needed), ``plain`` the same before whitening.
     """
 
     context: Context
@@ -360,6 +360,7 @@ class _Model:
     known: Array
     own: Array
     changes: Sequence[Change]
+    plain: Sequence[Change]
 
     def at(self, step: Array) -> tuple[Array, Array]:
         """Whitened residual and columns a step away."""
@@ -385,11 +386,12 @@ def _model(context: Context, h: Hypothesis, theta: Array, white: Array, known: K
     """About a point whose residual is whitened already."""
     p = len(context.problem.nuisances)
     columns = context.whiten(np.column_stack([_carried(context, h, known, theta).columns, own]))
+    plain: list[Change] = [*_changes(context, h, theta), *[None] * len(h.shapes)]
     changes: list[Change] = []
-    for change in _changes(context, h, theta):
+    for change in plain:
         both = None if change is None else context.whiten(np.column_stack([change[0], change[1]]))
         changes.append(None if both is None else (both[:, :-1], both[:, -1]))
-    return _Model(context, white, columns[:, :p], columns[:, p:], [*changes, *[None] * len(h.shapes)])
+    return _Model(context, white, columns[:, :p], columns[:, p:], changes, plain)
 
 
 def _tempered(prior: _Prior, theta: Array, white: Array, s: float) -> float:
@@ -444,7 +446,7 @@ def _descend(
     white = context.whiten(state.residual)
     s = max(1.0, float(np.sqrt(white @ white / len(white))))
     s = s if s > TEMPERED else 1.0
-    reach = REACH
+    reach, exact = REACH, True
     for _ in range(RENEWALS):
         model = _model(context, h, state.theta, white, known, own)
         before = _tempered(prior, state.theta, white, s)
@@ -460,7 +462,7 @@ def _descend(
         gained = before - _tempered(prior, state.theta + step, there, s)
         if gained > 0:
             state, white = _State(state.theta + step, cost, residual), there
-            own = columns_at(state.theta)
+            own, exact = _own_carried(model, own, step, columns_at, state.theta)
         if gained > 0.7 * promise:
             reach = min(1.7 * reach, FAR)
         elif gained < 0.3 * promise:
@@ -470,7 +472,19 @@ def _descend(
             s = max(1.0, s / COOLING)
         if s == 1.0 and promise < 0.5 * (STILL + 0.02 * _excess(white)):
             break
-    return state, own
+    return state, own if exact else columns_at(state.theta)
+
+
+def _own_carried(model: _Model, own: Array, step: Array, columns_at: Columns, theta: Array) -> tuple[Array, bool]:
+    """Own columns a step further, by the second derivatives where those are known; and whether they are exact."""
+    if any(change is None for change in model.plain) or not own.shape[1]:
+        return columns_at(theta), True
+    p = model.known.shape[1]
+    out = own.copy()
+    for i, change in enumerate(model.plain):
+        if change is not None:
+            out[:, i] += change[0] @ step[:p] + step[p + i] * change[1]
+    return out, False
 
 
 def _begin(context: Context, h: Hypothesis, prior: _Prior, point: Point) -> _State:
