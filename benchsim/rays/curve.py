@@ -14,11 +14,12 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Laser, Mirror, Physics, Screen
 from benchsim.bench.place import Placement
 from benchsim.rays import smooth
+from benchsim.rays.bench import Bench, nodes_needed
 from benchsim.rays.phases import axis_points, check, many_phases, sample_phases, stands
 from benchsim.rays.profile import Profiles
 from benchsim.rays.smooth import FAINT, left_of
 from benchsim.rays.stack import stacked
-from benchsim.rays.sweep import Bench, cuts, mixed, nodes_needed
+from benchsim.rays.sweep import cuts, mixed
 from benchsim.rays.width import across as irradiance_across
 from benchsim.rays.width import widths
 

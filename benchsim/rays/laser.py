@@ -261,10 +261,10 @@ class Beam:
             spread = 1.0 + self.curvature * along
             inverse = 1.0 / spread
             rho2 = (dot(here, here) - along * along) * inverse**2
-            light = self._gaussian(rho2)
+            light = self.gaussian(rho2)
             if some(*self.more.shape):
                 u, v = self._across(here)
-                light = light * self._shape(u * inverse, v * inverse)
+                light = light * self.reshaped(u * inverse, v * inverse)
             return light * np.maximum(-dot(g[which], normal), 0.0) * inverse**3
 
         return g, density
@@ -273,11 +273,13 @@ class Beam:
         assert self.section is not None
         return dot(offset, self.section[0]), dot(offset, self.section[1])
 
-    def _gaussian(self, rho2: Array) -> Array:
+    def gaussian(self, rho2: Array) -> Array:
+        """Power per area of the reference plane at squares of the distance from the axis [mm²]."""
         w2 = self.waist**2
         return np.asarray(2.0 / (np.pi * w2) * np.exp((-2.0 / w2) * rho2))
 
-    def _shape(self, u: Array, v: Array) -> Array:
+    def reshaped(self, u: Array, v: Array) -> Array:
+        """Density of the profile's shape over the Gaussian at places of the reference plane [mm]."""
         c4, plus, cross = self.more.shape
         w2 = self.waist**2
         s = np.minimum(2.0 * (u * u + v * v) / w2, FARTHEST)
@@ -325,9 +327,9 @@ class Beam:
                 by_v = (angle(a, b + step) - angle(a, b - step)) / (2 * step)
                 j11, j21, j12, j22 = j11 + by_u[0], j21 + by_u[1], j12 + by_v[0], j22 + by_v[1]
             stretch = (1 + down * j11) * (1 + down * j22) - down * down * j12 * j21
-            light = self._gaussian(a * a + b * b)
+            light = self.gaussian(a * a + b * b)
             if some(*self.more.shape):
-                light = light * self._shape(a, b)
+                light = light * self.reshaped(a, b)
             return light * np.maximum(-dot(g[which], normal), 0.0) / stretch
 
         return g, density

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.rays import plane
 from benchsim.rays import screen as board_plane
+from benchsim.rays.bench import Bench
 from benchsim.rays.laser import dot
-from benchsim.rays.sweep import Bench, Light, axis_ray
+from benchsim.rays.sweep import Light, axis_ray
 
 Array = NDArray[np.float64]
 
@@ -102,7 +104,16 @@ def axis_light(bench: Bench, phase: Array) -> Light:
 
 def axis_points(bench: Bench, phase: Array) -> Array:
     """Where the axis ray meets the board, (..., n, 2) [mm]."""
+    if bench.frame is not None and bench.facets:
+        return _closed(bench, bench.frame, phase)[0]
     return axis_light(bench, phase).board[..., 0, 0, :]
+
+
+def _closed(bench: Bench, frame: plane.Frame, phase: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Where the axis ray meets the board, and whether it does, from the closed form."""
+    at = phase[..., None, None]
+    board, lit = plane.axis_hits(frame, at, bench.parts.polygon.lean(bench.facet, at))
+    return board[..., 0, 0, :], lit[..., 0, 0]
 
 
 def _span(bench: Bench, grid: Array, beyond: Array) -> tuple[float, float]:
@@ -140,6 +151,9 @@ def _even(dense: Array, s: Array, off: Array, samples: int) -> Array:
 
 def _beyond(bench: Bench, phase: Array) -> tuple[Array, Array]:
     """How far beyond the board's edge the axis ray lands [mm], infinite where it does not, and where."""
+    if bench.frame is not None and bench.facets:
+        board, on = _closed(bench, bench.frame, phase)
+        return np.where(on, board_plane.margin(bench.screen.size, board), np.inf), board
     p = bench.placement
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         light = axis_light(bench, phase)

@@ -16,11 +16,12 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Physics, Recording
 from benchsim.bench.place import Placement, SettingErrors, place, places
 from benchsim.rays import stack
+from benchsim.rays.bench import Bench, nodes_needed
 from benchsim.rays.curve import tangents, trace, traces
 from benchsim.rays.effects import Elements, elements
 from benchsim.rays.phases import axis_points, check, sample_phases
 from benchsim.rays.smooth import FAINT, left_of
-from benchsim.rays.sweep import Bench, cuts, nodes_needed
+from benchsim.rays.sweep import cuts
 from benchsim.rays.width import widths
 
 Array = NDArray[np.float64]

@@ -18,10 +18,11 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from benchsim.bench.curve import Curve
+from benchsim.rays.bench import Bench, facet_nodes, nodes_needed
 from benchsim.rays.laser import some
 from benchsim.rays.phases import axis_points
 from benchsim.rays.profile import Profiles, interpolation
-from benchsim.rays.sweep import LAST_STEP, Bench, cuts, facet_nodes, mixed, nodes_needed
+from benchsim.rays.sweep import LAST_STEP, cuts, mixed
 from benchsim.rays.width import adaptive_widths, between, few_of
 
 Array = NDArray[np.float64]

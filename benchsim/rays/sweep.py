@@ -13,20 +13,18 @@ so the moments are smooth in every parameter.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.bench.model import Laser, Mirror, Physics, Screen
 from benchsim.bench.place import Placement
 from benchsim.rays import air as medium
 from benchsim.rays import laser as source
 from benchsim.rays import mirror as optic
+from benchsim.rays import plane
 from benchsim.rays import screen as board_plane
-from benchsim.rays.effects import Elements
+from benchsim.rays.bench import Bench, facet_nodes
 from benchsim.rays.laser import dot, over, some
 from benchsim.rays.profile import Profiles
 
@@ -36,72 +34,8 @@ PHASE_STEP = 1e-5
 """Step of the central difference in phase (rad): truncation and rounding are both near 1e-10 of the derivative."""
 
 
-MOST = 128
-"""Cap on the nodes in one direction; beams narrower than a twentieth of the facet reach it and are placed less well."""
-
-
 LAST_STEP = 1e-6
 """Step of Newton's method [rad] after which the error left is some 1e-8 and neither flux nor centre feel it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """What one exposure's light meets.
-
-    ``facet`` is the gated facet, or None; ``parts`` what the elements do beyond their tables, and ``placement`` where
-    they then stand (`Elements.turned`).
-    """
-
-    laser: Laser
-    mirror: Mirror
-    physics: Physics
-    screen: Screen
-    placement: Placement
-    facet: int | None = None
-    parts: Elements = field(default_factory=Elements)
-
-    @property
-    def facets(self) -> bool:
-        """Whether light is reflected by flat facets; otherwise by a cylinder of the same r."""
-        return self.physics.facets and self.mirror.shape == "polygon"
-
-    @property
-    def radius(self) -> float:
-        """Distance of the reflecting surface (before a coating: of its glass) from the axis of rotation [mm]."""
-        return self.mirror.radius + self.parts.polygon.pivot
-
-    @cached_property
-    def beam(self) -> source.Beam:
-        """The beam where it stands."""
-        return source.beam(self.laser, self.placement, self.parts.source)
-
-    @cached_property
-    def shift(self) -> Array | None:
-        """Displacement of the light on the board, (2,) [mm]."""
-        return self.parts.timing.on_board(self.placement)
-
-    @property
-    def exposure_per_phase(self) -> float:
-        """Share of the revolution per radian of one reflecting normal's turn [1/rad], summed over what reflects.
-
-        N facets, or the gated one, each pass any phase once a revolution. A cylinder stands in the beam all the time:
-        its share is 1 per radian of its surface. The pencil without beam or facets has one ray at each phase.
-        """
-        if self.physics.beam and not self.facets:
-            return 1.0
-        return (self.mirror.facets if self.facets and self.facet is None else 1) / (2 * np.pi)
-
-
-def nodes_needed(bench: Bench) -> tuple[int, int]:
-    """Gauss–Legendre nodes over a facet's width and height that place the centre line to 1e-7 mm.
-
-    The facet's half sides in units of the beam's waist decide; measured against 80 × 40 nodes over beam diameters of
-    1 to 40 mm, on twelve settings disturbed by 2 σ.
-    """
-    w = float(np.min(bench.laser.waist))
-    across = 4 + int(np.ceil(5 * bench.mirror.facet_width / 2 / w))
-    along = 3 + int(np.ceil(6 * bench.mirror.height / 2 / w))
-    return min(across, MOST), min(along, MOST)
 
 
 class Light(NamedTuple):
@@ -235,33 +169,6 @@ def _beam_light(
     return light, falls
 
 
-@lru_cache(maxsize=32)
-def _gauss(n: int) -> tuple[Array, Array]:
-    return np.polynomial.legendre.leggauss(n)
-
-
-def facet_nodes(bench: Bench, across: int, along: int) -> tuple[Array, Array, Array]:
-    """Gauss–Legendre nodes on a facet.
-
-    Returns
-    -------
-    t : (across, 1) ndarray [mm]
-    h : (1, along) ndarray [mm]
-    weight : (across, along) ndarray [mm²]
-        For a cylinder a single t = 0 with weight r, the width of surface that a radian of phase sweeps. A single ray
-        has one node of weight 1.
-    """
-    if not bench.physics.beam:
-        return np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1))
-    u, w = _gauss(along)
-    half = bench.mirror.height / 2
-    if not bench.facets:
-        return np.zeros((1, 1)), half * u[None, :], bench.radius * half * w[None, :]
-    v, z = _gauss(across)
-    wide = bench.mirror.facet_width / 2
-    return wide * v[:, None], half * u[None, :], wide * half * np.outer(z, w)
-
-
 def cuts(
     bench: Bench,
     origin: Array,
@@ -302,7 +209,13 @@ def cuts(
         ``weight`` is NaN where a node's light cannot be brought to the line at any phase.
     """
     p = bench.placement
-    t, h, area = facet_nodes(bench, across, along)
+    t, h, area = nodes = facet_nodes(bench, across, along)
+    if bench.frame is not None and not front:
+        leans = lean + bench.parts.polygon.lean(bench.facet, phase)
+        share = bench.exposure_per_phase
+        return plane.cuts(
+            bench.frame, origin, tangent, phase, nodes, leans, share=share, kicks=kicks, last_step=last_step
+        )
     (ty, tz), (oy, oz) = _components(tangent), _components(origin)
     e = np.array(np.broadcast_to(phase, (*phase.shape[:-2], t.shape[0], h.shape[1])))
     steps = PHASE_STEP * np.array([0.0, 1.0, -1.0]).reshape(3, *(1,) * e.ndim)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from benchsim.rays import laser as source
+from benchsim.rays.bench import Bench
 from benchsim.rays.diffraction import even_profile, fresnel_profile, rule_needed, scales
 from benchsim.rays.profile import Profiles, adaptive, geometric_profile, refine_height
-from benchsim.rays.sweep import Bench
 
 Array = NDArray[np.float64]
 
