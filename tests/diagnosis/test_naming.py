@@ -1,7 +1,8 @@
 """How often the right name is given, and a wrong one, on a problem that is no bench; and what a naming holds.
 
-Fixed seeds. Thresholds are the bars; with n sets a rate p passes a bar b with the binomial probability, so a tool at
-half the bar fails a run of 200 with probability 0.05, a tool at zero never.
+Fixed seeds. Thresholds are binomial: each test states how often a tool as good as is aimed at would fail it by chance,
+and how bad one would have to be to pass it in one run of twenty. The bars themselves need more sets: those are marked
+slow.
 """
 
 import lines
@@ -40,31 +41,39 @@ def gram():
     return linear.marginal(about, about.effect).gram
 
 
-def test_clean_sets_are_named_nothing():
-    """Two hundred sets, bar 2 %; P also has to be honest on average."""
+@pytest.mark.parametrize(("sets", "most"), [(24, 1), pytest.param(200, 4, marks=pytest.mark.slow)])
+def test_clean_sets_are_named_nothing(sets, most):
+    """A name in 1 % of sets fails 24 of them in 2 % of runs, a name in 18 % passes in 5 %; 200 of them hold the bar,
+    2 %. P also has to be honest on average."""
     wrong, unconverged, told = 0, 0, 0.0
-    for seed in range(200):
+    for seed in range(sets):
         found = name(lines.problem(seed=seed)[0])
         wrong += bool(sure(found))
         unconverged += not found.null.converged
         told += max(found.probability.values())
-    assert wrong <= 4
+    assert wrong <= most
     assert unconverged == 0
-    assert told / 200 < 0.1
+    assert told / sets < 0.1
 
 
+@pytest.mark.parametrize("sets", [8, pytest.param(20, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "how", [{"sigma": 1.3}, {"setting_scale": 3.0}, {"correlated": 1.0}], ids=["sigma", "settings", "correlated"]
 )
-def test_wrong_statements_about_errors_name_nothing(how):
-    """Bar 5 %; 20 sets each, so one may be wrong."""
-    assert sum(bool(sure(name(lines.problem(seed=seed, **how)[0]))) for seed in range(20)) <= 1
+def test_wrong_statements_about_errors_name_nothing(how, sets):
+    """One set may be wrong: of 8, a name in 1 % fails in 0.3 % of runs and one in 47 % passes in 5 %; of 20, 1.7 % and
+    22 %."""
+    assert sum(bool(sure(name(lines.problem(seed=seed, **how)[0]))) for seed in range(sets)) <= 1
 
 
-def test_singles_are_named_and_sized(gram):
-    """Eight of each effect at SNR 8: at least 95 % exactly named; pulls of their parameters within the bar."""
+@pytest.mark.parametrize(
+    ("sets", "least", "spread"), [(12, 10, (0.5, 1.57)), pytest.param(48, 46, (0.8, 1.25), marks=pytest.mark.slow)]
+)
+def test_singles_are_named_and_sized(gram, sets, least, spread):
+    """Every effect in turn at SNR 8. Of 12, at the bar of 95 % two or fewer are missed in 98 % of runs, and a tool that
+    names 56 % passes in 5 %; 48 hold the bar. Pulls of their parameters: 16 to 20 leave the spread in 0.2 % of runs."""
     rng, exact, pulls = np.random.default_rng(1), 0, []
-    for i in range(48):
+    for i in range(sets):
         effect = lines.CATALOGUE[i % 6]
         problem, truth = lines.problem(drawn(effect, 8.0, rng, gram), seed=500 + i)
         found = name(problem)
@@ -73,15 +82,16 @@ def test_singles_are_named_and_sized(gram):
         if best.effects == (effect.name,):
             assert best.converged
             pulls += [(best.values[p.name] - truth.get(p.name, 0)) / best.sigma[p.name] for p in effect.parameters]
-    assert exact >= 46
-    # 80 pulls: their standard deviation is known to 0.08.
-    assert 0.8 < np.std(pulls) < 1.25
-    assert np.mean(np.abs(pulls) > 3) <= 0.03
+    assert exact >= least
+    assert spread[0] < np.std(pulls) < spread[1]
+    # More than one of 20 beyond three sigma: 0.1 % of runs.
+    assert np.sum(np.abs(pulls) > 3) <= max(1, 0.03 * len(pulls))
 
 
 def test_the_setting_scale_is_found_and_costs_no_name(gram):
+    """Twelve errors know the scale to a fifth: the median of three sets lies between the bounds in 99 % of runs."""
     rng, scales = np.random.default_rng(2), []
-    for seed in range(6):
+    for seed in range(3):
         problem, _ = lines.problem(drawn(lines.CATALOGUE[1], 12.0, rng, gram), seed=seed, setting_scale=3.0)
         found = name(problem)
         assert sure(found) == {"turn"}
@@ -89,13 +99,15 @@ def test_the_setting_scale_is_found_and_costs_no_name(gram):
     assert 2 < np.median(scales) < 4.5
 
 
-def test_pairs(gram):
+@pytest.mark.parametrize(("sets", "least"), [(8, 6), pytest.param(16, 14, marks=pytest.mark.slow)])
+def test_pairs(gram, sets, least):
+    """Of 8, a tool that names 95 % fails in 0.6 % of runs, one that names 40 % passes in 5 %."""
     rng, exact = np.random.default_rng(3), 0
-    for seed in range(16):
+    for seed in range(sets):
         a, b = rng.choice(6, 2, replace=False)
         truth = drawn(lines.CATALOGUE[a], 10.0, rng, gram) | drawn(lines.CATALOGUE[b], 10.0, rng, gram)
         exact += sure(name(lines.problem(truth, seed=seed)[0])) == {lines.NAMES[a], lines.NAMES[b]}
-    assert exact >= 14
+    assert exact >= least
 
 
 def test_three_effects_are_found_one_after_the_other():

@@ -90,14 +90,17 @@ def test_what_can_only_be_taken_for_noise_is_not_named_but_said():
     assert any("Errors of kind c" in n and "correlated" in n for n in d.notes)
 
 
+@pytest.mark.parametrize(("seeds", "may_miss"), [(12, 2), pytest.param(50, 5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("truth", "without", "element"), [({"lean": 0.2}, ("lean",), "mirror"), ({"warp": 0.08}, (), "mirror")]
 )
-def test_what_the_catalogue_lacks_is_rarely_given_a_wrong_name(truth, without, element):
-    # 50 seeds each at SNR 10 to 15. A wrong name in 10 % of cases is the bar: 1 or fewer of 50 would happen at 10 % in
-    # 3 % of runs, so passing shows that the rate is below the bar. Locations, where claimed, are right in 9 of 10.
+def test_what_the_catalogue_lacks_is_rarely_given_a_wrong_name(truth, without, element, seeds, may_miss):
+    # At SNR 10 to 15. A wrong name in 10 % of cases is the bar: of 50, 1 or fewer would happen at 10 % in 3 % of runs,
+    # so passing shows that the rate is below the bar; of 12, a name in 1 % fails in 0.6 % of runs and one in 34 %
+    # passes in 5 %. Locations, where claimed, are right in 9 of 10; of 12, 95 % right fails in 2 % of runs and 56 %
+    # passes in 5 %.
     wrong = claimed = right = 0
-    for seed in range(400, 450):
+    for seed in range(400, 400 + seeds):
         problem = toy(truth, seed, without=without)
         judged = judge(problem, naming.name(problem, refits=5))
         wrong += judged.verdict in ("named", "class") or bool(judged.found)
@@ -105,15 +108,15 @@ def test_what_the_catalogue_lacks_is_rarely_given_a_wrong_name(truth, without, e
             claimed += 1
             right += judged.place.element == element
     assert wrong <= 1
-    assert claimed >= 25
-    assert right >= 0.9 * claimed
+    assert claimed >= seeds / 2
+    assert right >= claimed - may_miss
 
 
 def test_clean_lines_are_not_named_even_with_settings_worse_than_stated():
-    # At the bar of 5 %, 25 seeds with settings three times as bad name something once or never in 64 % of runs and
-    # four or more in 3 %; at the 1 % that is aimed at, two or more in 3 %.
+    # Of 10 seeds with settings three times as bad, two or more are named in 0.4 % of runs at the 1 % that is aimed at;
+    # one or none in 5 % at 39 %.
     named = 0
-    for seed in range(500, 525):
+    for seed in range(500, 510):
         problem = toy({}, seed, setting_scale=3.0)
         named += bool(judge(problem, naming.name(problem, refits=5)).findings.stands)
     assert named <= 1
