@@ -229,11 +229,19 @@ def weigh(
     return tuple(sorted((_one(p, ground) for p in prepared), key=lambda a: -a.log_evidence))
 
 
-def refine(problem: Problem, naming: Naming, prepared: tuple[Prepared, ...], laid: Attached, on: Fit) -> Attached:
+def refine(
+    problem: Problem,
+    naming: Naming,
+    prepared: tuple[Prepared, ...],
+    laid: Attached,
+    on: Fit,
+    worth: float = -np.inf,
+) -> Attached:
     """Weigh an attachment again about the nuisances that it leaves, until the prediction there is what was expected.
 
     Nuisances fitted without the function stand where they imitate it, and the prediction's bending between there and
-    where they belong can be larger than the difference of two explanations. The function itself stays linear.
+    where they belong can be larger than the difference of two explanations. The function itself stays linear, and so
+    do the nuisances' columns until the place is found; they matter to a fraction of what bending does.
 
     Parameters
     ----------
@@ -243,28 +251,29 @@ def refine(problem: Problem, naming: Naming, prepared: tuple[Prepared, ...], lai
     laid : Attached
     on : Fit
         What it is laid on.
+    worth : float
+        ln Z that it must reach for its columns to be differentiated there.
     """
     own = next(p for p in prepared if p.attachment.name == laid.attachment.name)
     offset = on.log_evidence - _ground(problem, naming, on.linear).log_evidence + _prior(problem)
     white, _ = whiten(problem, naming.noise.covariance, own.attachment.basis)
-    p = len(problem.nuisances)
-    here = np.array([on.values.get(q.name, 0.0) / q.sigma for q in problem.nuisances])
-    values = dict(on.values)
-    predicted = predict_all(problem, values)
+    known = amplitudes(problem, laid.linear.names)
+    size = np.array([on.values.get(q.name, 0.0) ** q.power for q in known])
+    p, at = len(problem.nuisances), on.values
     for _ in range(_ROUNDS):
         base = absorb(problem, laid.linear)
-        pull, _ = nuisance_posterior(base, base.residual - white @ laid.coefficients, laid.scale)
-        step = pull[:p] - here
-        at = {**values, **{q.name: float(x * q.sigma) for q, x in zip(problem.nuisances, pull[:p], strict=True)}}
-        there = predict_all(problem, at)
-        bent = whiten(problem, naming.noise.covariance, there - predicted)[0] - laid.linear.nuisance @ step
+        pull = nuisance_posterior(base, base.residual - white @ laid.coefficients, laid.scale)[0][:p]
+        there = {**on.values, **{q.name: float(x * q.sigma) for q, x in zip(problem.nuisances, pull, strict=True)}}
+        seen, _ = whiten(problem, naming.noise.covariance, problem.data - predict_all(problem, there))
+        bent = laid.linear.residual - laid.linear.nuisance @ pull - laid.linear.effect @ size - seen
         if not np.isfinite(bent).all() or np.linalg.norm(bent) < _STRAIGHT:
             break
-        known = amplitudes(problem, laid.linear.names)
-        plain = linearise(problem, at, known, naming.noise.covariance)
+        at = there
+        plain = replace(laid.linear, residual=laid.linear.residual - bent)
         laid = _one(own, _ground(problem, naming, plain, offset=offset))
-        here, predicted, values = pull[:p], there, at
-    return laid
+    if at is on.values or laid.log_evidence < worth:
+        return laid
+    return _one(own, _ground(problem, naming, linearise(problem, at, known, naming.noise.covariance), offset=offset))
 
 
 def _prior(problem: Problem) -> float:

@@ -89,8 +89,8 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     notes: list[str] = []
     best = _best(problem, naming, notes)
     prepared = attachments.prepare(problem, naming.noise.covariance)
-    free = _weigh(problem, naming, prepared, naming.null)
-    more = free if best.claim is None else _weigh(problem, naming, prepared, best.fit)
+    free = _weigh(problem, naming, prepared, naming.null, best.fit)
+    more = free if best.claim is None else _weigh(problem, naming, prepared, best.fit, best.fit)
     modes = remainder.modes(problem, naming.linear, naming.noise.covariance)
     findings = Findings(
         naming.null.log_evidence,
@@ -191,18 +191,19 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> _Best:
 
 
 def _weigh(
-    problem: Problem, naming: Naming, prepared: tuple[attachments.Prepared, ...], on: Fit
+    problem: Problem, naming: Naming, prepared: tuple[attachments.Prepared, ...], on: Fit, best: Fit
 ) -> tuple[Attached, ...]:
-    """All attachments on one hypothesis, those that could matter about their own nuisances."""
+    """All attachments on one hypothesis, those that could matter beside the best about their own nuisances."""
+    rival = max(on.log_evidence, best.log_evidence)
     laid = list(attachments.weigh(problem, naming, prepared, on))
     seen: set[str] = set()
     for _ in range(REFINED):
         top = [a for a in laid if a.attachment.name not in seen and a.log_evidence > laid[0].log_evidence - CONCERN]
-        # What explains no more than nothing does need not be known to a digit.
-        if not top or top[0].log_evidence < on.log_evidence - CONCERN:
+        # What explains no more than nothing does, or than names do, need not be known to a digit.
+        if not top or top[0].log_evidence < rival - CONCERN:
             break
         seen.add(top[0].attachment.name)
-        again = attachments.refine(problem, naming, prepared, top[0], on)
+        again = attachments.refine(problem, naming, prepared, top[0], on, rival - verdict.NAMED_MARGIN)
         laid = [again if a.attachment.name == again.attachment.name else a for a in laid]
         laid.sort(key=lambda a: -a.log_evidence)
     return tuple(laid)

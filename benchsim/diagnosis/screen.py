@@ -181,11 +181,9 @@ def weigh(
     terms = [t for _, ts in listed for t in ts]
     factors = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
     factors += base[:, None]
-    out, first = {}, 0
-    for effects, ts in listed:
-        out[effects] = float(logsumexp(factors[:, first : first + len(ts)]))
-        first += len(ts)
-    return out
+    first = np.cumsum([0, *(len(ts) for _, ts in listed)])[:-1]
+    total = np.logaddexp.reduceat(logsumexp(factors, axis=0), first)
+    return {effects: float(z) for (effects, _), z in zip(listed, total, strict=True)}
 
 
 def screen(about: Linear, catalogue: Catalogue, columns: Array, scales: Array, weights: Array) -> dict[Effects, float]:
