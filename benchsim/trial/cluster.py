@@ -48,7 +48,7 @@ def beside(target: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def cluster(scheduler: str | None = None, workers: int | None = None) -> Iterator[Each]:
+def cluster(scheduler: str | None = None, workers: int | None = None, timeout: float = 20.0) -> Iterator[Each]:
     """`Each` on Dask.
 
     Parameters
@@ -57,6 +57,8 @@ def cluster(scheduler: str | None = None, workers: int | None = None) -> Iterato
         Address of a running ``dask scheduler``; its workers must see the same folders under the same names.
     workers : int, optional
         Local processes where no scheduler is given; default one per core, 0 none: one case after the other, here.
+    timeout : float
+        How long the scheduler may take to answer [s].
 
     Raises
     ------
@@ -75,7 +77,7 @@ def cluster(scheduler: str | None = None, workers: int | None = None) -> Iterato
 
     if scheduler is not None:
         try:
-            client = Client(scheduler, timeout="20s", set_as_default=False)
+            client = Client(scheduler, timeout=timeout, set_as_default=False)
         except (OSError, ValueError) as error:
             raise BenchsimError(f"--scheduler {scheduler}: does not answer ({error}); check the address") from None
         local = None
@@ -92,7 +94,7 @@ def cluster(scheduler: str | None = None, workers: int | None = None) -> Iterato
 
     def each(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
         futures = {client.submit(_quiet, function, *task, pure=False): k for k, task in enumerate(tasks)}
-        for future in as_completed(list(futures)):
+        for future in as_completed(list(futures), loop=client.loop):
             error = future.exception()
             yield futures[future], future.result() if error is None else error
             future.release()

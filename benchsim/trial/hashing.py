@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,8 @@ def files_of(folder: Path) -> dict[str, str]:
     return out
 
 
+@lru_cache(maxsize=1)
 def code() -> str:
-    """SHA-256 over the package's own modules: which code concealed or judged."""
+    """SHA-256 over the package's own modules: which code concealed or judged, as it was when first asked."""
     root = Path(benchsim.__file__).parent
     return digest(canonical({p.relative_to(root).as_posix(): digest(p.read_bytes()) for p in root.rglob("*.py")}))

@@ -69,7 +69,8 @@ def verify(
     if not there:
         raise BenchsimError(f"{at}: holds no ledger; name the folder of a trial")
     read = [ledger.read(p) for p in there]
-    problems = []
+    last = parts.index(there[-1])
+    problems = [f"{p.parent.name}/{p.name}: is not there" for p in parts[:last] if p not in there]
     for shorter, longer, path in zip(read, read[1:], there, strict=False):
         if longer[: len(shorter)] != shorter:
             problems.append(f"{path.parent.name}/{path.name}: what followed it does not begin with it")

@@ -1,0 +1,92 @@
+"""What is drawn can be rendered and judged; what is of zero size goes the same way; sizes are those aimed at."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchsim.instruments.bench import effects as catalogue
+from benchsim.instruments.bench import observables
+from benchsim.instruments.bench import problem as bench_problem
+from benchsim.render import effects as rendered
+from benchsim.trial import cases, draws
+from benchsim.trial.hashing import rng_of
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return draws.bench("fig7", np.random.default_rng(0), 4)
+
+
+@pytest.fixture(scope="module")
+def sight(bench):
+    return draws.Sight.of(bench_problem.build(bench, observables.simulate(bench), attached=False))
+
+
+def accepted(recording):
+    rendered.check(recording)
+    catalogue.check(recording)
+
+
+def test_every_effect_is_drawn_as_generator_and_judge_take_it(bench, sight):
+    for k, effect in enumerate(sight.problem.catalogue):
+        values = draws.draw_effect(sight, effect, np.random.default_rng(k), (5.0, 9.0))
+        concealed = cases.Concealed(draws.as_effects(values, effect), {})
+        accepted(replace(bench, effects=concealed.effects))
+        flat = cases.zeroed(concealed, bench)
+        accepted(replace(bench, effects=flat.effects))
+        own = {p.name for p in draws.amplitudes(effect)}
+        assert {v for k, v in flat.values.items() if k in own} == {0.0}
+        assert {k: v for k, v in flat.values.items() if k not in own} == {
+            k: v for k, v in concealed.values.items() if k not in own
+        }
+
+
+@pytest.mark.parametrize("name", draws.STRANGERS)
+def test_every_stranger_is_drawn_as_the_generator_takes_it(bench, name):
+    concealed = cases.Concealed({}, draws.draw_stranger(name, bench, np.random.default_rng(1)), name)
+    accepted(replace(bench, fields=concealed.fields))
+    for field in cases.zeroed(concealed, bench).fields.values():
+        assert not np.any(field.table())
+
+
+def test_sizes_are_those_aimed_at(sight):
+    """An effect that its caps do not hold back has the SNR that was drawn, within what second order makes of it."""
+    effect = next(e for e in sight.problem.catalogue if e.name == "canting")
+    for k in range(5):
+        values = draws.draw_effect(sight, effect, np.random.default_rng(k), (1.0, 1.0001))
+        assert np.linalg.norm(sight.change(values)) == pytest.approx(1.0, rel=0.05)
+
+
+def test_an_effect_below_the_settings_moves_less_than_they_do(sight):
+    scaled = np.array([p.scaled for p in sight.problem.nuisances])
+    errors = np.linalg.norm(sight.linear.nuisance[:, scaled])
+    assert errors > 0
+    for k, effect in enumerate(sight.problem.catalogue):
+        if any(p.grid for p in effect.parameters):
+            continue
+        values = draws.draw_effect(sight, effect, np.random.default_rng(k), (200.0, 300.0))
+        small = draws.below_the_settings(sight, effect, values, np.random.default_rng(k))
+        problem = sight.problem
+        moved = draws.whiten(
+            problem, problem.covariance, draws.predict_all(problem, small) - draws.predict_all(problem, {})
+        )[0]
+        assert np.linalg.norm(moved) < 0.6 * errors
+
+
+@pytest.mark.parametrize("kind", [*cases.KINDS])
+def test_a_kind_conceals_what_it_says(bench, kind):
+    withheld = ("canting", "coma", "plume")
+    found = cases.drawn(bench, kind, withheld, np.random.default_rng(3))
+    wanted = {"pair": 2, "below-another": 2, "clean": 0, "clean-speckle": 0, "clean-settings": 0, "stranger": 0}
+    assert len(found.effects) == wanted.get(kind, 1)
+    assert bool(found.fields) == bool(found.stranger) == (kind == "stranger")
+    assert all((name in withheld) == (kind == "removed") for name in found.effects)
+
+
+def test_noise_and_ray_counts_differ_from_case_to_case(bench):
+    drawn = [cases.noise(bench.render, "single", rng_of("00", k, "noise")) for k in range(40)]
+    for key in ("full_well_e", "read_noise_e", "blur_px", "relative_error"):
+        assert len({getattr(o, key) for o in drawn}) == 40
+    assert {o.speckle_px > 0 for o in drawn} == {True, False}
+    assert cases.noise(bench.render, "clean-speckle", rng_of("00", 1, "noise")).speckle_px > 0
