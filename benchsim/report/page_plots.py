@@ -14,7 +14,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 WIDTH = 360
-LEFT, RIGHT = 46, 8
+LEFT, RIGHT, TOP = 46, 8, 24
 
 FINE = 0.15
 """Distances of fewer mm are written in µm."""
@@ -118,7 +118,7 @@ def residuals(exposure: Mapping[str, Any], earlier: bool = True) -> Markup:
     panels = [("fitted", r["before"], r["after"])]
     if _known(r["held_out_after"]):
         panels.append(("left out", r["held_out_before"], r["held_out_after"]))
-    tall, gap, top = 104, 26, 16
+    tall, gap, top = 104, 30, TOP
     x = Scale(min(s), max(s), LEFT, WIDTH - RIGHT)
     body, said = [], []
     for k, (word, before, after) in enumerate(panels):
@@ -164,7 +164,7 @@ def _band(x: Scale, y: Scale, at: Sequence[float], sigma: Sequence[float], kind:
 
 
 def _axis_y(y: Scale, at: Sequence[float], top: float, words: str, factor: float = 1.0) -> list[str]:
-    out = [_text(2, top - 5, words, "start", "label")]
+    out = [_text(2, top - 9, words, "start", "label")]
     for v in at:
         out.append(_line(LEFT, y(v), WIDTH - RIGHT, y(v), "grid"))
         out.append(_text(LEFT - 5, y(v) + 3.5, text_of(factor * v), "end"))
@@ -189,10 +189,10 @@ def reliability(bins: Sequence[Mapping[str, Any]]) -> Markup:
         ``reliability`` of a trial's score (see `report.page_trial`).
     """
     side = 270
-    x, y = Scale(0, 1, LEFT, LEFT + side), Scale(0, 1, 16 + side, 16)
+    x, y = Scale(0, 1, LEFT, LEFT + side), Scale(0, 1, TOP + side, TOP)
     five = [0, 0.2, 0.4, 0.6, 0.8, 1]
-    body = _axis_y(y, five, 16, "share that was there")
-    body += _axis_x(x, five, 16 + side, "probability stated")
+    body = _axis_y(y, five, TOP, "share that was there")
+    body += _axis_x(x, five, TOP + side, "probability stated")
     body.append(_line(x(0), y(0), x(1), y(1), "ideal"))
     said = []
     for b in bins:
@@ -203,7 +203,7 @@ def reliability(bins: Sequence[Mapping[str, Any]]) -> Markup:
         body.append(f'<circle class="after face" cx="{_n(x(at))}" cy="{_n(y(share))}" r="4"/>')
         said.append(f"stated {at:.3g}: {b['right']} of {b['of']} there")
     return _svg(
-        16 + side + 34, body, "Reliability: share that was there against the probability stated", "; ".join(said) + "."
+        TOP + side + 34, body, "Reliability: share that was there against the probability stated", "; ".join(said) + "."
     )
 
 
@@ -218,7 +218,7 @@ def power(effect: str, points: Sequence[Mapping[str, Any]], span: tuple[float, f
     span : (2,)
         Range of the signal-to-noise ratio, the same for every effect.
     """
-    top, tall = 20, 96
+    top, tall = TOP, 96
     x = Scale(*span, LEFT, WIDTH - RIGHT - 10, log=True)
     y = Scale(0, 1, top + tall, top)
     body = _axis_y(y, [0, 0.5, 1], top, "share named")

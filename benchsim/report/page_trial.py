@@ -29,6 +29,9 @@ labels are ready to read.
                "interval": "88 … 99 %", "n": 60, "state": "met"}],    # met | missed | open
      "ledger": [{"line": 1, "time": "2026-11-21T14:00:00+00:00", "what": "commitment c001", "hash": "9f2c…"}],
      "verified": true,                             # or false, or null where it was not checked
+     "leak": {"clue": "001.png size", "auc": 0.53, "p_value": 0.4, "at_chance": true},   # values null: too few cases
+     "withheld": ["coma", …],                      # effects taken out of the judge's catalogue
+     "certificate": {"passed": true},              # of the generator of truths
      "commands": ["benchsim trial run --cases 60 --seed 7"]}
 
 ``format``, ``title``, ``headline`` and ``cases`` must be there; what else is left out, or empty, is not shown.
@@ -37,12 +40,15 @@ labels are ready to read.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchsim.report import page_plots
 
 FORMAT = "benchsim-score/1"
+
+WIDE = 12
+"""Columns up to which the confusion matrix is shown at once; beyond, a list of who was said to be whom reads better."""
 
 OUTCOMES = {"right": "✓ right", "class": "◐ class", "missed": "○ missed", "wrong": "✗ wrong", "": "–"}
 """An outcome in a sign and a word: never told by colour alone."""
@@ -56,8 +62,9 @@ def shown(score: Mapping[str, Any]) -> dict[str, Any]:
     score : mapping
         In the form above.
     """
-    absent = {"confusion": {"concealed": [], "said": [], "counts": []}, "verified": None}
-    lists: dict[str, Any] = {key: [] for key in ("reliability", "power", "bars", "ledger", "commands")}
+    nothing = {"concealed": [], "said": [], "counts": []}
+    absent = {"confusion": nothing, "verified": None, "leak": None, "certificate": None}
+    lists: dict[str, Any] = {key: [] for key in ("reliability", "power", "bars", "ledger", "commands", "withheld")}
     score = {**absent, **lists, **score}
     snr = [p["snr"] for e in score["power"] for p in e["points"] if p["of"]]
     span = (min([3.0, *snr]) / 1.1, max([30.0, *snr]) * 1.1)
@@ -72,6 +79,16 @@ def shown(score: Mapping[str, Any]) -> dict[str, Any]:
         "power": [page_plots.power(e["effect"], e["points"], span) for e in score["power"]],
         "effects": [e["effect"] for e in score["power"]],
         "confusion": confusion,
+        "wide": len(confusion["said"]) > WIDE,
         "most": max((n for row in confusion["counts"] for n in row), default=0) or 1,
-        "rows": [(name, row, sum(row)) for name, row in zip(confusion["concealed"], confusion["counts"], strict=True)],
+        "rows": [
+            {"name": name, "counts": counts, "total": sum(counts), "said": _most_first(confusion["said"], counts)}
+            for name, counts in zip(confusion["concealed"], confusion["counts"], strict=True)
+        ],
     }
+
+
+def _most_first(names: Sequence[str], counts: Sequence[int]) -> list[tuple[str, int]]:
+    """What was said at all, the most frequent first."""
+    said = [(name, n) for name, n in zip(names, counts, strict=True) if n]
+    return sorted(said, key=lambda pair: -pair[1])

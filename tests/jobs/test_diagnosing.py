@@ -68,6 +68,7 @@ def test_the_folder_holds_json_text_amended_and_pictures(recording, tmp_path, qu
     assert names == {
         "diagnosis.json", "summary.txt", "amended.toml", "marks.csv", "benchsim.json",
         "residuals.png", "observables.png", "probability.png", "located-001.png",
+        "page.json", "photographs", "report.html",
     }  # fmt: skip
     written = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert written == json.loads(json.dumps(result.as_dict()))

@@ -100,8 +100,8 @@ def test_render_writes_a_recording_and_nothing_else(rendered):
 def test_run_on_a_recording_writes_the_designs_files(ran):
     folder = ran.folder
     assert names(folder) == [
-        "benchsim.json", "conics.json", "fig8.png", "overlay-001.png", "residuals.png", "summary.txt", "trace.csv",
-        "validation.json",
+        "benchsim.json", "conics.json", "fig8.png", "overlay-001.png", "page.json", "photographs", "report.html",
+        "residuals.png", "summary.txt", "trace.csv", "validation.json",
     ]  # fmt: skip
     check_trace(folder / "trace.csv", ["001.png"])
     check_conics(strict((folder / "conics.json").read_text()), ["001.png"])

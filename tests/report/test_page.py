@@ -6,10 +6,12 @@ and what has no name for a person who does not see it.
 
 import json
 import re
+import tomllib
 from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -340,11 +342,29 @@ def test_a_trial_shows_its_table_its_misses_and_its_ledger():
         f"{9:064x}",
         "○ open",
         "0 … 30 %",
-        "a concealed trial of 9",
     ):
         assert words in p.text, words
     assert "cause 5 1 1 1 1" in p.text, "cases by outcome: right, class, missed, wrong, does not apply"
     assert "stated 0.99: 7 of 8 there" in p.text and p.text.count("at 5: 1 of 3; at 40: 3 of 3") == 3
+
+
+def test_a_matrix_that_would_be_wide_is_a_list_first():
+    many = [f"effect-{k}" for k in range(page_trial.WIDE + 1)]
+    counts = 2 * np.eye(len(many), dtype=int)
+    counts[0, 3] = 1
+    score = {**trial(), "confusion": {"concealed": many, "said": many, "counts": counts.tolist()}}
+    p = Page(page.trial_page(score, {}))
+    assert p.faults == [] and "effect-0 3 ✓ effect-0 × 2, effect-3 effect-1 2 ✓ effect-1 × 2" in p.text
+    assert "The same as a matrix" in p.text and "The same as a matrix" not in Page(page.trial_page(trial(), {})).text
+
+
+@pytest.mark.parametrize(("chance", "words"), [(True, "scores at chance"), (False, "scores ✗ better than chance")])
+def test_a_trial_says_what_guards_it(chance, words):
+    leak = {"clue": "001.png size", "auc": 0.53, "p_value": 0.4, "at_chance": chance}
+    guards = {"leak": leak, "withheld": ["coma", "drift"], "certificate": {"passed": chance}}
+    text = Page(page.trial_page({**trial(), **guards}, {})).text
+    assert words in text and "“001.png size”" in text and "catalogue: coma and drift." in text
+    assert ("failed its certificate" in text) != chance
 
 
 def test_a_trial_that_does_not_verify_says_so_first():
@@ -391,6 +411,16 @@ def test_the_command_writes_one_file_beside_the_results_or_where_it_is_told(made
     assert again.path.read_text() == html and "the page of a diagnosis" in again.summary()
     (folder / "score.json").write_text(json.dumps(trial()))
     assert jobs.report(folder, tmp_path / "trial.html").of == "trial"
+
+
+def test_the_templates_are_in_the_wheel():
+    root = Path(page.__file__).parents[2]
+    globs = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"][
+        "benchsim.report"
+    ]
+    here = Path(page.__file__).parent
+    packed = {p for g in globs for p in here.glob(g)}
+    assert packed == {p for p in here.rglob("*") if p.is_file() and p.suffix not in (".py", ".pyc")} != set()
 
 
 def test_a_folder_that_cannot_be_shown_is_told_with_the_mend(made, photographs, tmp_path):
