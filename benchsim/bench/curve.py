@@ -83,34 +83,50 @@ def signed_distances(curves: Array, points: Array, values: Array | None = None) 
     coefficients = _splines(knots, curves if values is None else np.concatenate([curves, values], axis=2))
     target = np.asarray(points, float)
     py, pz = target[..., 0], target[..., 1]
-    far = (py[..., None] - curves[:, None, :, 0]) ** 2 + (pz[..., None] - curves[:, None, :, 1]) ** 2
-    s = np.take_along_axis(knots, np.argmin(far, axis=2), axis=1)
+    count, n = knots.shape
+    # The nearest sample: of the squared distances, what differs from sample to sample.
+    far = (curves[..., 0] ** 2 + curves[..., 1] ** 2)[:, None, :] - (2.0 * target) @ curves.transpose(0, 2, 1)
+    near = np.argmin(far, axis=2)
+    rows = np.arange(count)[:, None]
+    # From there along the chord.
+    ahead = np.minimum(near, n - 2)
+    chord = steps[rows, ahead]
+    off_y, off_z = py - curves[rows, near, 0], pz - curves[rows, near, 1]
+    length = np.maximum(np.hypot(chord[..., 0], chord[..., 1]), 1e-300)
+    s = knots[rows, near] + (off_y * chord[..., 0] + off_z * chord[..., 1]) / length
     # One growing list of all knots: each curve's are moved beyond those of the one before.
-    apart = (np.arange(len(knots)) * (2.0 * knots[:, -1].max() + 1.0))[:, None]
-    rows = np.arange(len(knots))[:, None]
+    apart = (np.arange(count) * (2.0 * knots[:, -1].max() + 1.0))[:, None]
+    growing = (knots + apart).ravel()
+    first, last, most = knots[:, :1], knots[:, -1:], n - 2
+    table = coefficients.reshape(*coefficients.shape[:2], -1)
+    lengths = np.diff(knots, axis=1)
 
-    def piece(s: Array) -> tuple[Array, Array]:
-        """Coefficients (4, k, curve, m) where s lies, and how far into the piece."""
-        inside = np.clip(s, knots[:, :1], knots[:, -1:])
-        i = np.searchsorted((knots + apart).ravel(), (inside + apart).ravel(), side="right").reshape(s.shape)
-        i = np.clip(i - 1 - rows * knots.shape[1], 0, knots.shape[1] - 2)
-        return coefficients[:, :, rows, i], s - knots[rows, i]
+    def piece(s: Array) -> NDArray[np.intp]:
+        i = np.searchsorted(growing, (np.clip(s, first, last) + apart).ravel(), side="right").reshape(s.shape)
+        return np.asarray(np.clip(i - 1 - rows * n, 0, most))
 
+    i = piece(s)
     for _ in range(9):
-        (a, b, c, e), u = piece(s)
-        y, z = ((a[:2] * u + b[:2]) * u + c[:2]) * u + e[:2]
-        ty, tz = (3 * a[:2] * u + 2 * b[:2]) * u + c[:2]
-        by, bz = (6 * a[:2] * u + 2 * b[:2])[:2]
+        u = s - knots[rows, i]
+        if (((u < 0) & (i > 0)) | ((u > lengths[rows, i]) & (i < most))).any():
+            i = piece(s)
+            u = s - knots[rows, i]
+        a, b, c, e = table[:, :2].take(i + rows * (n - 1), axis=2)
+        y, z = ((a * u + b) * u + c) * u + e
+        ty, tz = (3 * a * u + 2 * b) * u + c
+        by, bz = 6 * a * u + 2 * b
         dy, dz = py - y, pz - z
         step = (dy * ty + dz * tz) / np.maximum(ty * ty + tz * tz - (dy * by + dz * bz), 0.1)
-        # What a step this small leaves is its square; the distance does not feel it at all.
-        if np.max(np.abs(step), initial=0.0) < 1e-12:
-            break
         s = s + step
+        # What a step this small leaves is its square, and of it the distance feels no more than the square.
+        if np.max(np.abs(step), initial=0.0) < 1e-6:
+            break
     at_feet = None
     if values is not None:
-        (a, b, c, e), u = piece(s)
-        at_feet = np.moveaxis(((a[2:] * u + b[2:]) * u + c[2:]) * u + e[2:], 0, -1)
+        i = piece(s)
+        u = s - knots[rows, i]
+        a, b, c, e = table[:, 2:].take(i + rows * (n - 1), axis=2)
+        at_feet = np.moveaxis(((a * u + b) * u + c) * u + e, 0, -1)
     return (ty * dz - tz * dy) / np.sqrt(ty * ty + tz * tz), s, at_feet
 
 

@@ -99,12 +99,8 @@ def even_profile(
     -------
     (profile, 2 count + 1) ndarray
     """
-    chirp, fine, real, imaginary = _still_parts(nodes, wavelength, height, rule)
+    chirp, fine, still = _still_parts(nodes, wavelength, height, rule, middle)
     per_mm = (0.5 * height * chirp)[:, None] * fine
-    turn = per_mm * middle[:, None]
-    c, s = (x[:, None, :] for x in cos_sin(turn))
-    # Real and imaginary part side by side.
-    still = np.concatenate([real * c + imaginary * s, imaginary * c - real * s], axis=1)
     # The rule is even and symmetric: of nodes on either side the cosines are equal and the sines opposite.
     half = rule // 2
     upper, lower = still[..., half:], still[..., half - 1 :: -1]
@@ -171,24 +167,28 @@ def _chirp(nodes: Profiles, wavelength: float) -> Array:
 
 def _still(nodes: Profiles, wavelength: float, height: float, rule: int) -> tuple[Array, Array, NDArray[np.complex128]]:
     """k c (profile,), the finer rule over the height, and A exp(iΦ) times its weights at q = 0, (profile, t, fine)."""
-    chirp, fine, real, imaginary = _still_parts(nodes, wavelength, height, rule)
-    return chirp, fine, real + 1j * imaginary
+    chirp, fine, parts = _still_parts(nodes, wavelength, height, rule, np.zeros(len(nodes.q)))
+    across = nodes.q.shape[1]
+    return chirp, fine, parts[:, :across] + 1j * parts[:, across:]
 
 
-def _still_parts(nodes: Profiles, wavelength: float, height: float, rule: int) -> tuple[Array, Array, Array, Array]:
-    """`_still` as real and imaginary part."""
+def _still_parts(
+    nodes: Profiles, wavelength: float, height: float, rule: int, middle: Array
+) -> tuple[Array, Array, Array]:
+    """`_still` at offsets q = middle (profile,), real parts before imaginary ones: (profile, 2 t, fine)."""
     half, chirp = height / 2, _chirp(nodes, wavelength)
-    weight, fine, fine_weight, carry, rise = _rules(nodes.q.shape[2], rule)
-    flat = (-1, nodes.q.shape[2])
-    shape = (*nodes.q.shape[:2], rule)
-    size = (nodes.weight / (half * weight)).reshape(flat) @ carry
+    count, across, along = nodes.q.shape
+    weight, fine, fine_weight, carry, rise = _rules(along, rule)
+    size = ((nodes.weight / (half * weight)).reshape(-1, along) @ carry).reshape(count, across, rule)
     np.sqrt(np.maximum(size, 0.0, out=size), out=size)
     size *= half * fine_weight
-    bend = ((chirp[:, None, None] * half) * nodes.q).reshape(flat) @ rise
-    real, imaginary = cos_sin(bend)
-    real *= size
-    imaginary *= size
-    return chirp, fine, real.reshape(shape), imaginary.reshape(shape)
+    bend = ((chirp[:, None, None] * half) * nodes.q).reshape(-1, along) @ rise
+    bend = bend.reshape(size.shape)
+    bend -= (half * chirp * middle)[:, None, None] * fine
+    parts = np.empty((count, 2, across, rule))
+    for part, wave in zip((parts[:, 0], parts[:, 1]), cos_sin(bend), strict=True):
+        np.multiply(wave, size, out=part)
+    return chirp, fine, parts.reshape(count, 2 * across, rule)
 
 
 @lru_cache(maxsize=64)

@@ -39,7 +39,7 @@ CLOSE = 10.0
 class Frame(NamedTuple):
     """Vectors by their components along normal, axis × normal and axis at phase 0.
 
-    ``front``, ``edges``: the board's axes x; y and z. ``far``: C in the board's coordinates, with what shifts the light.
+    ``front``, ``edges``: the board's axes x; y and z. ``far``: C there, with what shifts the light.
     ``section``: the beam's u and v, where it has them.
     """
 
@@ -219,7 +219,7 @@ def _hits(rays: _Rays, row: Components, far: Any, path: Array, path_turns: Array
 
 
 def axis_hits(f: Frame, phase: Array, lean: Any) -> tuple[Array, NDArray[np.bool_]]:
-    """Where the laser's axis ray meets the board, (..., 2) [mm], and whether it comes to mirror and board from the front.
+    """Where the laser's axis ray meets the board, (..., 2) [mm], and whether it falls on both fronts.
 
     ``phase`` and ``lean`` as of `sweep.axis_ray`.
     """

@@ -45,24 +45,35 @@ def adaptive_widths(bench: Bench, some: Profiles, which: NDArray[np.bool_] | Non
         Benches of the stack that are wanted; default all. Only theirs are returned.
     """
     if some.q.ndim == 3:
-        each = (np.full(len(some.q), float(v)) for v in (source.blur_sigma(bench.laser), bench.parts.timing.shake))
-        return _held(*_samples(bench, some, *each))
+        blur, shake = (
+            np.full(len(some.q), float(v)) for v in (source.blur_sigma(bench.laser), bench.parts.timing.shake)
+        )
+        return _held(*_samples(bench, some, blur, shake))
     assert which is not None
     count = some.q.shape[1]
     blur, shake = (
         np.broadcast_to(np.reshape(v, (-1, 1)), (len(some.q), count))[which]
         for v in (source.blur_sigma(bench.laser), bench.parts.timing.shake)
     )
-    some = some.only(which)
+    if not which.all():
+        some = some.only(which)
     benches = len(some.q)
-    sizes = np.zeros((benches, 2), int)
-    if bench.physics.diffraction:
-        sizes = _grids(bench, _joined(some), *_window(bench, _joined(some), blur.ravel(), shake.ravel()), benches)
-    # A bench's answer must not depend on its company, so only those of the same grids go together.
-    mine = [(sizes == size).all(axis=1) for size in np.unique(sizes, axis=0)]
-    found = [_samples(bench, _joined(some.only(m)), blur[m].ravel(), shake[m].ravel(), sizes[m.argmax()]) for m in mine]
-    if len(found) == 1:
-        return _held(*found[0]).reshape(-1, count)
+    flat, blur, shake = _joined(some), blur.ravel(), shake.ravel()
+    if not bench.physics.diffraction:
+        return _held(*_samples(bench, flat, blur, shake)).reshape(-1, count)
+    window = _window(bench, flat, blur, shake)
+    sizes = _grids(bench, flat, *window, benches)
+    # Those of the same grid go together, with the finest rule among them: a finer one changes nothing. A bench's grid
+    # over q must not depend on its company.
+    mine = [sizes[:, 0] == grid for grid in sorted(set(sizes[:, 0].tolist()))]
+    if len(mine) == 1:
+        return _held(*_samples(bench, flat, blur, shake, window, sizes.max(axis=0))).reshape(-1, count)
+    found = []
+    for m in mine:
+        rows = np.repeat(m, count)
+        sigma, reach, slits = (a[rows] for a in window)
+        size = sizes[m].max(axis=0)
+        found.append(_samples(bench, flat.only(rows), blur[rows], shake[rows], (sigma, reach, slits), size))
     # Filled up with places without light, all are one table.
     longest, widest = (max(f[k].shape[1] for f in found) for k in (0, 2))
     q, light = np.zeros((benches, count, longest)), np.zeros((benches, count, longest))
@@ -105,13 +116,20 @@ def _held(q: Array, light: Array, spread: Array) -> Array:
 
 
 def _samples(
-    bench: Bench, some: Profiles, blur: Array, shake: Array, size: NDArray[np.intp] | None = None
+    bench: Bench,
+    some: Profiles,
+    blur: Array,
+    shake: Array,
+    window: tuple[Array, Array, Array] | None = None,
+    size: NDArray[np.intp] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Places, light and blur (profile, n) of profiles of one grid's ``size``, default what they need; the blur is
-    (profile, 1) where it is the same for all places."""
+    """Places, light and blur (profile, n) of profiles with one `_window` and grid's ``size``, default what they need.
+
+    The blur is (profile, 1) where it is the same for all places.
+    """
     mean = some.mean(some.q)
     if bench.physics.diffraction:
-        sigma, reach, slits = _window(bench, some, blur, shake)
+        sigma, reach, slits = window or _window(bench, some, blur, shake)
         count, rule = (_grids(bench, some, sigma, reach, slits)[0] if size is None else size).tolist()
         spread = sigma[:, None]
         q = mean[:, None] + reach[:, None] * (np.arange(-count, count + 1) / count)

@@ -11,6 +11,7 @@ from benchsim.bench.fields import field
 from benchsim.bench.model import Physics
 from benchsim.bench.settings import from_vector
 from benchsim.rays import curve, predict, predict_many, prediction
+from benchsim.rays.bench import Bench
 from benchsim.rays.curve import beam_profiles, trace
 from benchsim.rays.phases import many_phases, sample_phases
 from benchsim.rays.prediction import bench_of
@@ -106,6 +107,28 @@ def test_what_cannot_be_stacked_is_worked_out_alone(lab):
     ]
     for case, many in zip(cases, predict_many(cases, 24), strict=True):
         equal(predict(*case[:3], 24), many)
+
+
+@pytest.mark.parametrize("physics", [Physics(), Physics(False, True, True)])
+def test_the_closed_form_says_what_the_rays_of_every_element_say(lab, physics, monkeypatch):
+    """Of every effect that it covers, on disturbed settings: `plane` against the same benches without it."""
+    cases = cases_of(lab, 17, physics)
+    benches = [bench_of(*case) for case in cases]
+    closed = [b.frame is not None for b in benches]
+    kinds = {name for case, on in zip(cases, closed, strict=True) if on for name in case[0].effects}
+    assert {"canting", "facet-tilts", "axis-tilt", "wavefront-curvature", "drift", "beam-offset"} <= kinds
+    assert not kinds & {"second-surface", "facet-curvature", "astigmatism", "coma", "window", "plume", "screen-bow"}
+    fast = predict_many(cases, 32)
+    monkeypatch.setattr(Bench, "frame", None)
+    for on, one, other in zip(closed, fast, predict_many(cases, 32), strict=True):
+        assert one is not None and other is not None
+        if not on:
+            continue
+        # Differences leave 1e-8 mm in the general rays.
+        assert np.abs(one.points - other.points).max() < 5e-8
+        assert np.abs(one.width / other.width - 1).max() < 1e-8
+        np.testing.assert_allclose(one.flux, other.flux, rtol=1e-8)
+        np.testing.assert_allclose(one.phase, other.phase, atol=1e-10)
 
 
 def test_light_beside_the_board_is_none_and_leaves_the_others_alone(lab):
