@@ -84,7 +84,7 @@ def build(folder: Path) -> tuple[str, str]:
     if not (folder / "page.json").is_file():
         raise BenchsimError(
             f"{folder}: holds no page.json, without which there is nothing to draw; write the folder anew with "
-            f"benchsim {stamp.get('command', 'run')}"
+            f"benchsim {'diagnose' if result == 'diagnosis.json' else 'run'}"
         )
     found, extra = _read(folder, result), _read(folder, "page.json")
     _of_format(folder / "page.json", extra, page.FORMAT)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from benchsim import jobs
+from benchsim import jobs, trace
 
 HEADER = "exposure,ridge,s_mm,u_px,v_px,y_mm,z_mm,sigma_mm,width_mm,flux,skewness,saturated"
 
@@ -95,6 +95,25 @@ def test_render_writes_a_recording_and_nothing_else(rendered):
     assert "[render]" not in text and "setting_errors" not in text
     picture = cv2.imread(str(rendered / "001.png"), cv2.IMREAD_UNCHANGED)
     assert picture.shape == (750, 1000) and picture.dtype == np.uint16
+
+
+def test_the_pages_curves_lie_where_light_and_model_are(ran, rendered):
+    """In the photograph's pixels: the trace on the line, the prediction after on it too, before where the model is."""
+    x = strict((ran.folder / "page.json").read_text())["exposures"][0]
+    measured, before, after = (np.array(x[f"{which}_px"]) for which in ("measured", "before", "after"))
+    photograph = cv2.imread(str(rendered / "001.png"), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+
+    def light(points):
+        u, v = np.rint(points).astype(int).T
+        return np.median(photograph[v, u])
+
+    assert light(measured) > 2 * light(measured + np.array([8, 0]))
+    assert np.abs(after - measured).max() < 0.2
+    stated = trace.to_pixels(ran.fit.fitted[0].trace.pose, ran.validation.exposures[0].stated.points)
+    apart = np.linalg.norm(before[:, None] - stated[None], axis=2).min(axis=1)
+    step = np.linalg.norm(np.diff(stated, axis=0), axis=1).max()
+    assert np.linalg.norm(before - measured, axis=1).max() > 2, "settings were off by what is seen"
+    assert apart.max() < 0.3 + step / 2
 
 
 def test_run_on_a_recording_writes_the_designs_files(ran):
