@@ -345,17 +345,21 @@ def _shift(blocks: Sequence[Local]) -> Attachment:
     return _joined("screen.shift", "place on the board", "mm", axes, 2, 0.5, _BOARD_LENGTHS, parts)
 
 
-def _differences(predict: Predict, index: int, name: str, step: float) -> Array:
-    return (predict({name: step}, index) - predict({name: -step}, index)) / (2 * step)
+def _differences(predict: Predict, names: Sequence[tuple[int, str]], step: float) -> list[Array]:
+    """Derivatives of blocks, each by one parameter."""
+    blocks = [i for i, _ in names]
+    ahead = predict([{name: step} for _, name in names], blocks)
+    behind = predict([{name: -step} for _, name in names], blocks)
+    return [(a - b) / (2 * step) for a, b in zip(ahead, behind, strict=True)]
 
 
 def _lean(predict: Predict, blocks: Sequence[Local]) -> Attachment:
     degrees = [np.degrees(b.phase) for b in blocks]
     axes = (_spread(min(d.min() for d in degrees), max(d.max() for d in degrees), 0.75), np.array([0.0]))
     parts = []
-    for i, (b, d) in enumerate(zip(blocks, degrees, strict=True)):
+    turned = _differences(predict, [(i, "pyr") for i in range(len(blocks))], 0.5)
+    for b, d, by_lean in zip(blocks, degrees, turned, strict=True):
         rows = np.zeros((size(b.block), len(axes[0])))
-        by_lean = _differences(predict, i, "pyr", 0.5)
         rows[: len(d)] = by_lean[: len(d), None] * tents(axes, d, np.zeros(len(d)))
         parts.append((rows, along(b, np.stack([d, np.zeros(len(d))], axis=1))))
     return _joined("mirror.lean", "phase of the mirror", "mrad", axes, 1, 1.0, (0.75, 2.0, 6.0), parts)
@@ -364,12 +368,13 @@ def _lean(predict: Predict, blocks: Sequence[Local]) -> Attachment:
 def _facet(predict: Predict, blocks: Sequence[Local]) -> Attachment:
     axes = (np.array([0.0]), np.arange(float(predict.recording.mirror.facets)))
     parts = []
-    for i, b in enumerate(blocks):
+    turned = _differences(predict, [(i, "pyr") for i in range(len(blocks))], 0.5)
+    for b, by_lean in zip(blocks, turned, strict=True):
         facet = predict.recording.exposures[b.block.observed.index].facet
         rows = np.zeros((size(b.block), len(axes[1])))
         place_ = np.full((len(b.board), 2), np.nan)
         if facet is not None:
-            rows[:, facet] = _differences(predict, i, "pyr", 0.5)
+            rows[:, facet] = by_lean
             place_[:] = (0.0, facet)
         parts.append((rows, along(b, place_)))
     return _joined("mirror.facet.lean", "number of the facet", "mrad", axes, 1, 2.0, (0.3, 3.0), parts)
@@ -400,9 +405,8 @@ def _angle(predict: Predict, blocks: Sequence[Local]) -> Attachment:
     knots = grid(axes, 2)[0]
     step = 0.1
     columns: list[list[Array]] = [[] for _ in blocks]
-    # Light and its derivative are smooth along the trace: a few points of the curve are enough for the difference.
-    predict = replace(predict, samples=16, cache={})
-    base = [predict({}, i) for i in range(len(blocks))]
+    every = list(range(len(blocks)))
+    base = predict([{}] * len(blocks), every)
     for k in range(len(knots)):
         table = np.zeros((2, len(axes[0]), 1))
         table.reshape(-1)[k] = 1e-3 * step
@@ -410,8 +414,8 @@ def _angle(predict: Predict, blocks: Sequence[Local]) -> Attachment:
         fields = dict(predict.recording.fields)
         fields["angle"] = summed(fields["angle"], new) if "angle" in fields else new
         bent = replace(predict, recording=replace(predict.recording, fields=fields), cache={})
-        for i in range(len(blocks)):
-            columns[i].append((bent({}, i) - base[i]) / step)
+        for column, there, here in zip(columns, bent([{}] * len(blocks), every), base, strict=True):
+            column.append((there - here) / step)
     parts = [(np.stack(c, axis=1), np.full((size(b.block), 2), np.nan)) for b, c in zip(blocks, columns, strict=True)]
     return _joined("source.angle", "place in the beam's section", "mrad", axes, 2, 0.5, (waist / 2, 2 * waist), parts)
 
@@ -421,11 +425,17 @@ def _stage(predict: Predict, blocks: Sequence[Local], axis: int) -> Attachment:
     dials = np.degrees([[e.laser_azimuth, e.laser_elevation] for e in exposures])
     axes = [np.array([float(dials[:, k].mean())]) for k in (0, 1)]
     axes[axis] = np.unique(dials[:, axis].round(9))
+    names = [
+        (i, n)
+        for i, b in enumerate(blocks)
+        for n in b.block.setting
+        if n.endswith((".laser_azimuth", ".laser_elevation"))
+    ]
+    turned = _differences(predict, names, 0.5)
     parts = []
     for i, (b, at) in enumerate(zip(blocks, dials, strict=True)):
         weight = tents(axes, at[:1], at[1:])[0]
-        names = [n for n in b.block.setting if n.endswith((".laser_azimuth", ".laser_elevation"))]
-        rows = [np.outer(_differences(predict, i, n, 0.5), weight) for n in names]
+        rows = [np.outer(t, weight) for (k, _), t in zip(names, turned, strict=True) if k == i]
         parts.append((np.concatenate(rows, axis=1), along(b, np.tile(at, (len(b.board), 1)))))
     name, words, lengths = (
         ("source.stage", "stated azimuth of the laser", (12.0, 25.0, 60.0)),
