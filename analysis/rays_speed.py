@@ -2,9 +2,9 @@
 
     python analysis/rays_speed.py [--seed 0] [--rounds 8]
 
-The diagnosis predicts each exposure some ten thousand times, most of them in lists of slightly different values
-(`rays.predict_many`, `Predict.many`). Times are CPU time of one thread, the best of the rounds, all of one run; compare
-the ratios, the milliseconds depend on the machine. Accuracy is against 96 samples.
+The diagnosis predicts each exposure some ten thousand times, most of them in lists of slightly different values, which
+may be of several exposures (`rays.predict_many`, `Predict.many`). Times are CPU time of one thread, the best of the
+rounds, all of one run; compare the ratios, the milliseconds depend on the machine. Accuracy is against 96 samples.
 """
 
 from __future__ import annotations
@@ -130,6 +130,42 @@ def columns(seed: int, rounds: int) -> None:
         print(f"{len(values)} columns' ends, {what}: alone {one:.2f} ms, listed {many:.2f} ms, ratio {one / many:.1f}")
 
 
+def mixed(seed: int, rounds: int) -> None:
+    """Print what lists of several exposures cost: one value in each, and a few values in each, and how far they are
+    from single predictions."""
+    recording = read(SCENES / "campaign12.toml", images=False)
+    recording = replace(recording, exposures=recording.exposures[:6])
+    problem = build(recording, observables.simulate(recording, seed=seed), attached=False)
+    predicted = problem.predict
+    assert isinstance(predicted, Predict)
+    rng = np.random.default_rng(seed)
+    at = {n.name: float(0.5 * n.sigma * rng.normal()) for n in problem.nuisances}
+    blocks = list(range(len(problem.names)))
+    amplitudes = [p for e in problem.catalogue for p in e.parameters if not p.grid]
+    effects = {"canting": ("pyr",), "facet tilts": ("tilt_rms",), "coma and plume": ("coma_u", "plume")}
+    cases = {"without effects": [at]}
+    for what, names in effects.items():
+        sigma = {p.name: p.sigma for p in amplitudes if p.name in names}
+        cases[f"{what}, both ends"] = [{**at, **{n: k * s for n, s in sigma.items()}} for k in (0.1, 0.2)]
+    for what, some in cases.items():
+        values, numbers = [v for v in some for _ in blocks], blocks * len(some)
+
+        def alone(values: list[dict[str, float]] = values, numbers: list[int] = numbers) -> list[np.ndarray]:
+            predicted.cache.clear()
+            return [predicted(v, b) for v, b in zip(values, numbers, strict=True)]
+
+        def listed(values: list[dict[str, float]] = values, numbers: list[int] = numbers) -> list[np.ndarray]:
+            predicted.cache.clear()
+            return predicted(values, numbers)
+
+        apart = max(float(np.abs(a - b).max()) for a, b in zip(alone(), listed(), strict=True))
+        one, many = cost(alone, rounds, 1), cost(listed, rounds, 3)
+        print(
+            f"{len(blocks)} exposures x {len(some)}, {what}: alone {one:.1f} ms, listed {many:.1f} ms, "
+            f"{many / len(values):.2f} ms each, ratio {one / many:.1f}; apart {apart:.0e}"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
@@ -142,6 +178,7 @@ def main() -> None:
     plain = recordings["fig7a"]
     together(plain, args.seed, args.rounds)
     columns(args.seed, args.rounds)
+    mixed(args.seed, args.rounds)
     exposure = plain.exposures[0]
 
     def both(recording: Recording) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Exposure, Mirror
-from benchsim.bench.place import SettingErrors, aim, camera_pose, ideal_normal, place, toward_source
+from benchsim.bench.place import SettingErrors, aim, camera_pose, ideal_normal, place, places, toward_source
 
 
 def exposure(azimuth=101.0, elevation=50.0, centre=(1500.0, -160.0, -1430.0), **more):
@@ -87,3 +87,19 @@ def test_the_camera_sees_y_to_the_right_and_z_up():
 def test_a_laser_straight_behind_cannot_be_aimed():
     with pytest.raises(BenchsimError, match="behind"):
         ideal_normal(np.array([1000.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.0)
+
+
+def test_settings_placed_together_stand_where_each_stands_alone():
+    """Of several exposures, with and without errors, some of them twice."""
+    rng = np.random.default_rng(6)
+    mirror = Mirror("polygon", 12, 35.0, 2.0, "elevation")
+    first, second = exposure(), exposure(95.0, 42.0, screen_shift=3.0, screen_roll=0.02)
+    off = [SettingErrors(*(0.1 * rng.normal(size=n) for n in (3, 2, 2, 3, 3))) for _ in range(3)]
+    settings = [(first, off[0]), (second, off[1]), (first, None), (second, off[2])]
+    for one, together in zip(settings, places(mirror, settings), strict=True):
+        alone = place(mirror, *one)
+        for name in alone.__dataclass_fields__:
+            np.testing.assert_allclose(getattr(together, name), getattr(alone, name), atol=1e-12)
+        np.testing.assert_allclose(together.screen_rotation @ together.screen_rotation.T, np.eye(3), atol=1e-14)
+        error = one[1] or SettingErrors()
+        np.testing.assert_allclose(together.centre, np.asarray(one[0].mirror_position) + error.mirror_position)
