@@ -90,7 +90,8 @@ def conceal(
     BenchsimError
         If the folder holds something else, another trial, or the generator is not certified.
     """
-    folder = Path(output)
+    # Workers may have been started elsewhere.
+    folder = Path(output).absolute()
     recordings, truth = folder / "recordings", folder / "truth"
     plan = _planned(folder, cases, seed, shrink, zero)
     names = ledger.cases_of(cases)

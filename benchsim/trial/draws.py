@@ -7,7 +7,7 @@ errors, beam and camera are marginalised, in the problem that it is drawn for.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ import benchsim
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, field
 from benchsim.bench.files import read
-from benchsim.bench.model import Recording
+from benchsim.bench.model import Camera, Exposure, Recording
 from benchsim.diagnosis.linear import Linear, columns, linearise, predict_all, whiten
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
@@ -58,12 +58,22 @@ def bench(design: str, rng: np.random.Generator, shrink: int = 1) -> Recording:
         chosen = [every[i] for i in picked]
     else:
         chosen = list(every)
-    jitter = {e.setting: rng.uniform(-1, 1, 5) for e in chosen}
-    moved = []
-    for e in chosen:
-        j = jitter[e.setting] if design == "six" else np.zeros(5)
+    # Drawn for every design, so that all take the same numbers.
+    shifted = moved(chosen, rng)
+    placed = shifted if design == "six" else tuple(chosen)
+    used = {e.camera for e in placed}
+    cameras = {name: smaller(c, shrink) for name, c in whole.cameras.items() if name in used}
+    return replace(whole, exposures=placed, cameras=cameras)
+
+
+def moved(exposures: Sequence[Exposure], rng: np.random.Generator) -> tuple[Exposure, ...]:
+    """Exposures with every setting moved about: up to 5° and 3° of the laser, 40 mm of the mirror."""
+    jitter = {e.setting: rng.uniform(-1, 1, 5) for e in exposures}
+    out = []
+    for e in exposures:
+        j = jitter[e.setting]
         x, y, z = e.mirror_position
-        moved.append(
+        out.append(
             replace(
                 e,
                 laser_azimuth=e.laser_azimuth + math.radians(5) * j[0],
@@ -71,18 +81,18 @@ def bench(design: str, rng: np.random.Generator, shrink: int = 1) -> Recording:
                 mirror_position=(x + 40 * j[2], y + 40 * j[3], z + 40 * j[4]),
             )
         )
-    used = {e.camera for e in moved}
-    cameras = {}
-    for name, c in whole.cameras.items():
-        if name in used:
-            (w, h), (cx, cy) = c.resolution, c.principal_point
-            cameras[name] = replace(
-                c,
-                resolution=(w // shrink, h // shrink),
-                focal=c.focal / shrink,
-                principal_point=((cx + 0.5) / shrink - 0.5, (cy + 0.5) / shrink - 0.5),
-            )
-    return replace(whole, exposures=tuple(moved), cameras=cameras)
+    return tuple(out)
+
+
+def smaller(camera: Camera, shrink: int) -> Camera:
+    """The same camera with so many times fewer pixels each way."""
+    (w, h), (cx, cy) = camera.resolution, camera.principal_point
+    return replace(
+        camera,
+        resolution=(w // shrink, h // shrink),
+        focal=camera.focal / shrink,
+        principal_point=((cx + 0.5) / shrink - 0.5, (cy + 0.5) / shrink - 0.5),
+    )
 
 
 def amplitudes(effect: Effect) -> tuple[Parameter, ...]:

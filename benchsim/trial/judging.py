@@ -84,7 +84,8 @@ def judge(
     BenchsimError
         If the recordings are not those that the ledger commits to, or the folder holds something else.
     """
-    given, folder = Path(recordings), Path(output)
+    # Workers may have been started elsewhere.
+    given, folder = Path(recordings).absolute(), Path(output).absolute()
     do = diagnose or diagnose_recording
     published = ledger.read(given / ledger.NAME)
     stands = ledger.standing(published, str(given / ledger.NAME))

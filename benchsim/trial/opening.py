@@ -13,7 +13,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
-from benchsim.trial import claims, leak, ledger, score
+from benchsim.trial import claims, leak, ledger, prediction, score
 from benchsim.trial.checking import Trial, checked, complain, diagnosis_of, truths_of
 from benchsim.trial.hashing import digest
 from benchsim.trial.ledger import Standing
@@ -79,7 +79,7 @@ def open(folder: Path | str, *, progress: Progress = silent) -> OpenResult:
     if path.exists() and ledger.standing(ledger.read(path)).closed is not None:
         whole = json.loads((at / "score.json").read_text(encoding="utf-8"))
         return OpenResult(at, whole, ledger.standing(ledger.read(path)).head)
-    progress("scoring", 0.5)
+    progress("scoring", 0.1)
     truths = truths_of(trial)
     partial = at / f".{ledger.NAME}"
     shutil.copyfile(at / "verdicts" / ledger.NAME, partial)
@@ -92,7 +92,13 @@ def open(folder: Path | str, *, progress: Progress = silent) -> OpenResult:
     ledger.append(partial, lines)
     nothing = {case: not truth["zero"] and not truth["kind"].startswith("clean") for case, (_, truth) in truths.items()}
     blind = leak.blind([leak.clues(at / "recordings" / case) for case in truths], list(nothing.values()))
-    whole = {**assembled(trial, {k: t for k, (_, t) in truths.items()}, ledger.read(partial)), "leak": blind}
+    seed = json.loads((at / "truth" / "plan.json").read_text(encoding="utf-8"))["seed"]
+    kept_back = {}
+    for k, (case, (_, truth)) in enumerate(truths.items()):
+        progress(f"predicting settings kept back from {case}", 0.1 + 0.8 * k / len(truths))
+        kept_back[case] = prediction.of_case(seed, truth, at / "recordings" / case, at / "verdicts" / case)
+    only = {case: truth for case, (_, truth) in truths.items()}
+    whole = {**assembled(trial, only, kept_back, ledger.read(partial)), "leak": blind}
     text = json.dumps(whole, indent=1, allow_nan=False) + "\n"
     write_text(at / "score.json", text)
     head = ledger.append(partial, [{"kind": "closed", "results": digest(text.encode())}])
@@ -101,12 +107,14 @@ def open(folder: Path | str, *, progress: Progress = silent) -> OpenResult:
     return OpenResult(at, whole, head)
 
 
-def assembled(trial: Trial, truths: Mapping[str, Any], lines: list[ledger.Line]) -> dict[str, Any]:
-    """The score, all but the leak test: it follows from truths, verdicts and ledger alone."""
+def assembled(
+    trial: Trial, truths: Mapping[str, Any], kept_back: Mapping[str, Any], lines: list[ledger.Line]
+) -> dict[str, Any]:
+    """The score, all but the leak test: it follows from truths, verdicts, predictions and ledger alone."""
     stands: Standing = trial.stands
     withheld = list(stands.trial["withheld"])
     pairs = [(truth, diagnosis_of(trial, case)) for case, truth in truths.items()]
-    cases = [score.scored(t, d, withheld, len(stands.judged[t["case"]])) for t, d in pairs]
+    cases = [score.scored(t, d, withheld, len(stands.judged[t["case"]]), kept_back.get(t["case"])) for t, d in pairs]
     return {
         "format": FORMAT,
         "title": f"Concealed trial of {len(cases)} cases",
@@ -115,7 +123,8 @@ def assembled(trial: Trial, truths: Mapping[str, Any], lines: list[ledger.Line])
         "confusion": score.confusion(cases),
         "reliability": score.reliability(pairs, withheld),
         "power": score.power(pairs, withheld),
-        "bars": score.bars(pairs, withheld),
+        "bars": score.bars(pairs, withheld, kept_back),
+        "kept_back": dict(kept_back),
         "ledger": [
             {"line": k, "time": "", "what": _in_words(line), "hash": line["hash"]} for k, line in enumerate(lines, 1)
         ],

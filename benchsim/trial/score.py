@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchsim.trial import claims
+from benchsim.trial.prediction import much
 from benchsim.trial.rates import Rate, wilson
 
 Plain = Mapping[str, Any]
@@ -39,7 +40,9 @@ KIND_WORDS = {
 }
 
 
-def scored(truth: Plain, diagnosis: Plain | None, withheld: Sequence[str], runs: int) -> dict[str, Any]:
+def scored(
+    truth: Plain, diagnosis: Plain | None, withheld: Sequence[str], runs: int, kept_back: Plain | None = None
+) -> dict[str, Any]:
     """One case in the form of ``score.json``.
 
     Parameters
@@ -51,11 +54,13 @@ def scored(truth: Plain, diagnosis: Plain | None, withheld: Sequence[str], runs:
     withheld : sequence of str
     runs : int
         How often it was judged.
+    kept_back : mapping or None
+        What it predicts of settings that the judge never saw, see `prediction.of_case`.
     """
     lacks = list(withheld)
     outcome, note = claims.cause(truth, diagnosis, lacks)
     sizes = _sizes(truth, diagnosis)
-    prediction = _prediction(truth, diagnosis)
+    prediction = judged_prediction(diagnosis, kept_back)
     notes = [note, "judged twice" if runs == 2 else f"judged {runs} times" if runs > 2 else ""]
     snr = list(truth["snr"].values())
     rival = truth["rival"]
@@ -73,7 +78,8 @@ def scored(truth: Plain, diagnosis: Plain | None, withheld: Sequence[str], runs:
         "design": truth["design"],
         "row": truth["kind"],
         "sizes": sizes,
-        "held_out": prediction,
+        "kept_back": prediction,
+        "held_out": None if diagnosis is None else judged_prediction(diagnosis, diagnosis["fit"]["held_out"]),
     }
 
 
@@ -98,26 +104,34 @@ def _sizes(truth: Plain, diagnosis: Plain | None) -> list[dict[str, Any]]:
     return out
 
 
-def _prediction(truth: Plain, diagnosis: Plain | None) -> dict[str, Any] | None:
-    """Left-out settings' excess χ² before and after; None where nothing was put in, or none left out.
+def judged_prediction(diagnosis: Plain | None, excess: Plain | None) -> dict[str, Any] | None:
+    """Excess χ² before and after what was found is put in; None where nothing was, or none was left out.
 
-    A case alone is judged only where there is much to remove, 60 √(2 n).
+    A case alone is judged only where there is much to remove, see `prediction.much`.
     """
-    if diagnosis is None or (not diagnosis["effects"] and not diagnosis["classes"] and diagnosis["law"] is None):
+    if diagnosis is None or excess is None:
         return None
-    held = diagnosis["fit"]["held_out"]
-    if held is None or held["excess_chi2_before"] is None or held["excess_chi2_after"] is None:
+    if not diagnosis["effects"] and not diagnosis["classes"] and diagnosis["law"] is None:
         return None
-    before, after, data = held["excess_chi2_before"], held["excess_chi2_after"], held["data"]
-    bar = REMOVED if diagnosis["law"] is None else LAW_REMOVED
-    much = before >= 60 * math.sqrt(2 * data)
-    outcome = "" if not much else "right" if 1 - after / before >= bar else "wrong"
-    kind = "named" if diagnosis["law"] is None else "law"
+    before, after, data = excess["excess_chi2_before"], excess["excess_chi2_after"], excess["data"]
+    if before is None or after is None:
+        return None
+    kind, bar = ("named", REMOVED) if diagnosis["law"] is None else ("law", LAW_REMOVED)
+    outcome = "" if not much(data, before) else "right" if 1 - after / before >= bar else "wrong"
     return {"before": before, "after": after, "data": data, "kind": kind, "outcome": outcome}
 
 
-def bars(cases: Sequence[tuple[Plain, Plain | None]], withheld: Sequence[str]) -> list[dict[str, Any]]:
-    """The bars of the study, each with its rate, interval and standing. ``cases`` are truths with their diagnoses."""
+def bars(
+    cases: Sequence[tuple[Plain, Plain | None]], withheld: Sequence[str], kept_back: Mapping[str, Plain | None]
+) -> list[dict[str, Any]]:
+    """The bars of the study, each with its rate, interval and standing.
+
+    Parameters
+    ----------
+    cases : sequence of (truth, diagnosis)
+    withheld : sequence of str
+    kept_back : mapping of case → what it predicts of settings that the judge never saw
+    """
     lacks = list(withheld)
     every = [(t, d) for t, d in cases if d is not None]
 
@@ -216,7 +230,14 @@ def bars(cases: Sequence[tuple[Plain, Plain | None]], withheld: Sequence[str]) -
             )
         )
     out += _sizes_bars([s for t, d in every if exact(t, d) for s in _sizes(t, d)])
-    out += _prediction_bars([p for t, d in every if (p := _prediction(t, d)) is not None])
+    # The first share is of names that are right, as the bar has it; a law stands for what has no name.
+    told = [(t, d) for t, d in every if exact(t, d) or d["law"] is not None]
+    for title, excess in (
+        ("settings that the judge never saw", [kept_back.get(t["case"]) for t, _ in told]),
+        ("left-out settings, by the judge", [d["fit"]["held_out"] for _, d in told]),
+    ):
+        found = [judged_prediction(d, x) for (_, d), x in zip(told, excess, strict=True)]
+        out += _prediction_bars(title, [p for p in found if p is not None])
     return out
 
 
@@ -242,7 +263,7 @@ def _sizes_bars(sizes: Sequence[Plain]) -> list[dict[str, Any]]:
     return out
 
 
-def _prediction_bars(predictions: Sequence[Plain]) -> list[dict[str, Any]]:
+def _prediction_bars(title: str, predictions: Sequence[Plain]) -> list[dict[str, Any]]:
     out = []
     for kind, bar in (("named", REMOVED), ("law", LAW_REMOVED)):
         chosen = [p for p in predictions if p["kind"] == kind]
@@ -253,7 +274,7 @@ def _prediction_bars(predictions: Sequence[Plain]) -> list[dict[str, Any]]:
             state = "met" if value >= bar else "missed" if high < bar else "open"
             out.append(
                 {
-                    "quantity": f"left-out settings' excess χ² removed, {kind}, pooled",
+                    "quantity": f"{title}: excess χ² removed, {kind}, pooled",
                     "bar": f"≥ {bar}",
                     "value": f"{value:.3f}",
                     "interval": f"{low:.3f} … {high:.3f}",

@@ -111,7 +111,7 @@ def verify(
 
 
 def _score(trial: Trial, lines: list[ledger.Line]) -> list[str]:
-    """The score's hash, and whether it follows from truths and verdicts."""
+    """The score's hash, and whether it follows from truths and verdicts; predictions are taken as they stand."""
     assert trial.stands.closed is not None
     try:
         text = (trial.folder / "score.json").read_bytes()
@@ -121,7 +121,7 @@ def _score(trial: Trial, lines: list[ledger.Line]) -> list[str]:
         return ["score.json: was changed"]
     found = {k: v for k, v in json.loads(text).items() if k != "leak"}
     truths = {case: truth for case, (_, truth) in truths_of(trial).items()}
-    again = json.loads(json.dumps(assembled(trial, truths, lines[:-1])))
+    again = json.loads(json.dumps(assembled(trial, truths, found["kept_back"], lines[:-1])))
     if found != again:
         which = ", ".join(sorted(k for k in again if found.get(k) != again[k])) or "more than there is"
         return [f"score.json: does not follow from truths and verdicts ({which})"]

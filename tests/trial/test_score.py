@@ -65,15 +65,26 @@ def test_size(value, outcome):
 @pytest.mark.parametrize(("after", "outcome"), [(40.0, "right"), (60.0, "wrong")])
 def test_prediction(after, outcome):
     """Judged alone only where there is much to remove: 60 √(2 · 50) = 600."""
-    held = {"data": 50, "excess_chi2_before": 1000.0, "excess_chi2_after": after}
-    assert score.scored(truth(BOW), diagnosis(BOW, held_out=held), [], 1)["prediction"] == outcome
-    little = {**held, "excess_chi2_before": 500.0}
-    assert score.scored(truth(BOW), diagnosis(BOW, held_out=little), [], 1)["prediction"] == ""
-    assert score.scored(truth(BOW), diagnosis(held_out=held), [], 1)["prediction"] == ""
+    kept = {"data": 50, "excess_chi2_before": 1000.0, "excess_chi2_after": after}
+    assert score.scored(truth(BOW), diagnosis(BOW), [], 1, kept)["prediction"] == outcome
+    assert score.scored(truth(BOW), diagnosis(CANT), [], 1, kept)["prediction"] == outcome  # whatever it is called
+    little = {**kept, "excess_chi2_before": 500.0}
+    assert score.scored(truth(BOW), diagnosis(BOW), [], 1, little)["prediction"] == ""
+    assert score.scored(truth(BOW), diagnosis(), [], 1, kept)["prediction"] == ""
+    assert score.scored(truth(BOW), diagnosis(BOW), [], 1)["prediction"] == ""
+
+
+def test_predictions_are_pooled_where_the_cause_is_right():
+    kept = {"001": {"data": 50, "excess_chi2_before": 1000.0, "excess_chi2_after": 20.0}}
+    kept |= {"002": {"data": 50, "excess_chi2_before": 3000.0, "excess_chi2_after": 60.0}}
+    kept |= {"003": {"data": 50, "excess_chi2_before": 9000.0, "excess_chi2_after": 9000.0}}
+    cases = [(truth(BOW, case=k), diagnosis(BOW if k != "003" else CANT)) for k in kept]
+    [found] = [b for b in score.bars(cases, [], kept) if b["quantity"].startswith("settings that the judge never saw")]
+    assert (found["value"], found["n"], found["state"]) == ("0.980", 2, "met")
 
 
 def bar(cases, words):
-    found = [b for b in score.bars(cases, ["drift"]) if words in b["quantity"]]
+    found = [b for b in score.bars(cases, ["drift"], {}) if words in b["quantity"]]
     assert len(found) == 1, [b["quantity"] for b in found]
     return found[0]
 
