@@ -10,27 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from benchsim.trial.rates import judged, wilson
+
 Case = dict[str, Any]
-
-
-def wilson(k: int, n: int, z: float) -> tuple[float, float]:
-    """Wilson's interval of a proportion; z = 1.645 makes each bound one-sided 95 %."""
-    if n == 0:
-        return 0.0, 1.0
-    p = k / n
-    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
-
-
-def judged(k: int, n: int, bar: float, at_least: bool) -> str:
-    """met: the point estimate meets the bar; missed: the one-sided 95 % interval excludes it; else open."""
-    if n == 0:
-        return "no cases"
-    low, high = wilson(k, n, 1.645)
-    p = k / n
-    if (p >= bar) if at_least else (p <= bar):
-        return "met"
-    return "missed" if (high < bar if at_least else low > bar) else "open"
 
 
 def claims(case: Case) -> list[set[str]]:
