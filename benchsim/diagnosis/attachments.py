@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dsytrd
 from scipy.special import logsumexp
 
@@ -90,22 +89,27 @@ class Prepared:
     attachment: Attachment
     roots: tuple[Array, ...]
     columns: tuple[Array, ...]
-    white: tuple[Array, ...] = ()
-    squares: tuple[Array, ...] = ()
+    white: tuple[Array, ...]
+    squares: tuple[Array, ...]
 
 
 def prepare(problem: Problem, covariance: tuple[Array, ...]) -> tuple[Prepared, ...]:
-    """All attachments of a problem, prepared once; ``covariance`` of the blocks says what data can show."""
-    out = []
-    for a in problem.attachments:
-        roots = []
-        for length in a.lengths:
-            root = kernel_root(a, length)
-            seen, _ = whiten(problem, covariance, a.basis @ root)
-            variance, turn = np.linalg.eigh(seen.T @ seen)
-            roots.append(root @ turn[:, variance * a.sigma**2 > VISIBLE])
-        out.append(Prepared(a, tuple(roots), tuple(a.basis @ r for r in roots)))
-    return whitened(problem, tuple(out), covariance)
+    """All attachments of a problem, prepared once and whitened by the blocks' ``covariance``."""
+    return tuple(_prepare(a, whiten(problem, covariance, a.basis)[0]) for a in problem.attachments)
+
+
+def _prepare(attachment: Attachment, white: Array) -> Prepared:
+    roots, columns, squares = [], [], []
+    for length in attachment.lengths:
+        root = kernel_root(attachment, length)
+        seen = white @ root
+        variance, turn = np.linalg.eigh(seen.T @ seen)
+        shown = variance * attachment.sigma**2 > VISIBLE
+        roots.append(root @ turn[:, shown])
+        columns.append(seen @ turn[:, shown])
+        squares.append(np.diag(variance[shown]))
+    raw = tuple(attachment.basis @ r for r in roots)
+    return Prepared(attachment, tuple(roots), raw, tuple(columns), tuple(squares))
 
 
 def whitened(
@@ -161,19 +165,30 @@ def with_columns(linear: Linear, columns: Array) -> Linear:
 class _Ground:
     """A hypothesis that functions are laid on, with products that all of them share.
 
-    ``cells`` are, for every setting scale: the scale, ln of its weight times the likelihood without a function, the
-    lower root of S⁻² + Nᵀ N, and its solution for Nᵀ r. ``offset`` turns ln Z of this scale into that of the fits.
+    Attributes
+    ----------
+    plain : Linear
+    nuisance, residual : (n, p), (n,)
+        Amplitudes among the nuisances; 0 where data are left out.
+    scale, known : (m,)
+        Every setting scale, and ln of its weight times the likelihood without a function.
+    root : (m, p, p)
+        W with Wᵀ W = (S⁻² + Nᵀ N)⁻¹ there.
+    offset : float
+        Turns ln Z of this scale into that of the fits.
     """
 
     plain: Linear
     nuisance: Array
     residual: Array
-    cells: tuple[tuple[float, float, Array, Array], ...]
+    scale: Array
+    known: Array
+    root: Array
     offset: float = 0.0
 
     @property
     def log_evidence(self) -> float:
-        return float(logsumexp([known for _, known, _, _ in self.cells])) + self.offset
+        return float(logsumexp(self.known)) + self.offset
 
 
 def _ground(
@@ -182,15 +197,13 @@ def _ground(
     base = absorb(problem, plain)
     use = np.ones(len(base.residual), bool) if keep is None else keep
     n_cols, r = base.nuisance * use[:, None], base.residual * use
-    inner, cross = n_cols.T @ n_cols, n_cols.T @ r
-    cells = []
-    for scale, weight in zip(naming.setting_scales, naming.scale_weights, strict=True):
-        s = np.where(base.scaled, float(scale), 1.0)
-        lower = np.linalg.cholesky(np.diag(s**-2.0) + inner)
-        half = solve_triangular(lower, cross, lower=True)
-        logdet = 2 * float(np.log(np.diag(lower)).sum() + np.log(s).sum())
-        cells.append((float(scale), float(np.log(weight)) - 0.5 * (float(r @ r - half @ half) + logdet), lower, half))
-    return _Ground(plain, n_cols, r, tuple(cells), offset)
+    s = np.where(base.scaled, naming.setting_scales[:, None], 1.0)
+    lower = np.linalg.cholesky(s[:, :, None] ** -2.0 * np.eye(s.shape[1]) + n_cols.T @ n_cols)
+    root = np.linalg.inv(lower)
+    logdet = 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(s)).sum(axis=1)
+    chi2 = r @ r - ((root @ (n_cols.T @ r)) ** 2).sum(axis=1)
+    known = np.log(naming.scale_weights) - 0.5 * (chi2 + logdet)
+    return _Ground(plain, n_cols, r, naming.setting_scales, known, root, offset)
 
 
 def weigh(
@@ -287,37 +300,40 @@ def _one(prepared: Prepared, ground: _Ground) -> Attached:
     rms = np.geomspace(attachment.sigma * _SMALLEST, attachment.sigma, _STEPS)
     # Uniform in the rms itself, on a grid that is even in its logarithm.
     log_prior = np.log(rms / rms.sum() / len(prepared.roots))
-    each = []
-    for length, root, white, square in zip(
-        attachment.lengths, prepared.roots, prepared.white, prepared.squares, strict=True
-    ):
-        cross, along = ground.nuisance.T @ white, white.T @ ground.residual
-        for scale, known, lower, half in ground.cells:
-            taken = solve_triangular(lower, cross, lower=True)
-            each.append((known, scale, length, root, square - taken.T @ taken, along - taken.T @ half))
-    cells = np.array([c[0] for c in each])[:, None] + _gains([(c[4], c[5]) for c in each], rms) + log_prior
+    half = ground.root @ (ground.nuisance.T @ ground.residual)[:, None]
+    grams: list[Array] = []
+    projections: list[Array] = []
+    for white, square in zip(prepared.white, prepared.squares, strict=True):
+        taken = ground.root @ (ground.nuisance.T @ white)
+        turned = np.swapaxes(taken, 1, 2)
+        grams.extend(square - turned @ taken)
+        projections.extend(white.T @ ground.residual - (turned @ half)[:, :, 0])
+    known = np.tile(ground.known, len(prepared.roots))
+    cells = known[:, None] + _gains(grams, projections, rms) + log_prior
     total = float(logsumexp(cells)) + ground.offset if any(r.shape[1] for r in prepared.roots) else -np.inf
     i, k = np.unravel_index(np.argmax(cells), cells.shape)
-    _, scale, length, root, gram, projection = each[i]
-    mean = np.linalg.solve(np.eye(len(gram)) / rms[k] ** 2 + gram, projection)
+    of, j = divmod(int(i), len(ground.scale))
+    root = prepared.roots[of]
+    mean = np.linalg.solve(np.eye(root.shape[1]) / rms[k] ** 2 + grams[i], projections[i])
+    length, scale = attachment.lengths[of], float(ground.scale[j])
     return Attached(attachment, total, float(rms[k]), length, scale, root @ mean, root * rms[k], ground.plain)
 
 
-def _gains(cells: Sequence[tuple[Array, Array]], rms: Array) -> Array:
-    """−½ ln |1 + a² G| + ½ a² uᵀ (1 + a² G)⁻¹ u of every (G, u) and rms a, (c, m).
+def _gains(grams: Sequence[Array], projections: Sequence[Array], rms: Array) -> Array:
+    """−½ ln |1 + a² G| + ½ a² uᵀ (1 + a² G)⁻¹ u of every G (r, r) with its u (r,), and every rms a; (c, m).
 
     The reflections that make [[0, uᵀ], [u, G]] tridiagonal leave its first place alone, so both are read off a
     recurrence for any a, at a quarter of the cost of an eigen-decomposition.
     """
-    size = max(len(u) for _, u in cells)
-    diagonal, beside = np.zeros((size + 1, len(cells), 1)), np.zeros((size + 1, len(cells), 1))
-    for i, (gram, u) in enumerate(cells):
+    size, count = max(len(u) for u in projections), len(grams)
+    diagonal, beside = np.zeros((size + 1, count, 1)), np.zeros((size + 1, count, 1))
+    for i, (gram, u) in enumerate(zip(grams, projections, strict=True)):
         bordered = np.zeros((len(u) + 1, len(u) + 1), order="F")
         bordered[1:, 0], bordered[1:, 1:] = u, gram
         _, d, e, _, _ = dsytrd(bordered, lower=1, lwork=32 * len(bordered), overwrite_a=True)
         diagonal[: len(d), i, 0], beside[: len(e), i, 0] = d, e
     power = rms**2
-    pivot = np.ones((size + 1, len(cells), len(rms)))
+    pivot = np.ones((size + 1, count, len(rms)))
     for j in range(size, 0, -1):
         below = pivot[j + 1] if j < size else 1.0
         pivot[j] = 1 + power * diagonal[j] - (power * beside[j]) ** 2 / below

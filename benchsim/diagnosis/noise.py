@@ -142,13 +142,13 @@ def _gather(
     return _Kind(tuple(eigen), tuple(turned_z), tuple(turned_x))
 
 
-def _restricted(spread: Array, z: Array, x: Array) -> tuple[float, float, int]:
-    """ln determinant, squares and number of what is left beside ``x`` where the variances are ``spread``."""
-    weighted = x / spread[:, None]
-    lower = np.linalg.cholesky(x.T @ weighted)
-    along = solve_triangular(lower, weighted.T @ z, lower=True)
-    logdet = float(np.log(spread).sum()) + 2 * float(np.log(np.diag(lower)).sum())
-    return logdet, float(z @ (z / spread) - along @ along), len(z) - x.shape[1]
+def _restricted(spread: Array, z: Array, x: Array) -> tuple[Array, Array, int]:
+    """ln determinant, squares and number of what is left beside ``x`` where the variances are ``spread`` (m, n)."""
+    inner = np.stack([x.T @ (x / s[:, None]) for s in spread])
+    along = (z / spread) @ x
+    logdet = np.log(spread).sum(axis=1) + np.linalg.slogdet(inner)[1]
+    taken = (along * np.linalg.solve(inner, along[:, :, None])[:, :, 0]).sum(axis=1)
+    return logdet, (z**2 / spread).sum(axis=1) - taken, len(z) - x.shape[1]
 
 
 def _weigh(kind: _Kind, lengths: Array) -> tuple[float, Array, Array]:
@@ -157,11 +157,12 @@ def _weigh(kind: _Kind, lengths: Array) -> tuple[float, Array, Array]:
     log_scales: list[float] = []
     cells: list[tuple[int, float]] = []
     for i in range(1 + len(lengths)):
-        for t in (0.0,) if i == 0 else SHARED:
-            prior = np.log(1 - CORRELATED) if i == 0 else np.log(CORRELATED / len(lengths) / len(SHARED))
-            logdet, total, n = _restricted(1 + t * kind.eigen[i], kind.data[i], kind.remove[i])
-            if n < 1:
-                continue
+        shares = np.zeros(1) if i == 0 else SHARED
+        prior = np.log(1 - CORRELATED) if i == 0 else np.log(CORRELATED / len(lengths) / len(SHARED))
+        logdets, totals, n = _restricted(1 + shares[:, None] * kind.eigen[i], kind.data[i], kind.remove[i])
+        if n < 1:
+            continue
+        for t, logdet, total in zip(shares.tolist(), logdets.tolist(), totals.tolist(), strict=True):
             free = 0.5 * np.log(max(total / n, 1e-12))
             # The likelihood is Gaussian in ln s with variance 1/2n; its prior is too.
             variance = 1 / (2 * n)
