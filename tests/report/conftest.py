@@ -1,5 +1,6 @@
-"""A diagnosis made by hand: a bowed board that six recordings of three settings show, and what it looks like."""
+"""A diagnosis and a trial made by hand: a bowed board that six recordings of three settings show, and nine cases."""
 
+import json
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from benchsim.diagnosis.result import (
     SplitBy,
     Stretch,
 )
+from benchsim.report import page, page_trial
 
 ELEMENT = {
     "canting": "mirror", "pivot-offset": "mirror", "beam-direction": "source", "astigmatism": "source",
@@ -33,10 +35,48 @@ CATALOGUE = tuple(
 
 @dataclass(frozen=True)
 class Made:
-    """Problem and diagnosis."""
+    """Problem and diagnosis, and the files that the page is made of."""
 
     problem: Problem
     diagnosis: Diagnosis
+
+    def plain(self, d):
+        """``diagnosis.json`` of a diagnosis."""
+        more = {"against": "bench", "lost": [], "remarks": [], "defaults_used": []}
+        return json.loads(json.dumps({**d.as_dict(), **more}, allow_nan=False))
+
+    def beside(self, d=None, photographs=True):
+        """``page.json`` of the diagnosis made by hand: traces that slant through a picture of 400 × 300 px."""
+        d = d or self.diagnosis
+        r, rows = d.residuals, []
+        for b, name in enumerate(self.problem.names):
+            at = np.flatnonzero((self.problem.block == b) & (self.problem.kind == "c"))
+            s = self.problem.position[at]
+            line = np.stack([60 + 0.4 * s, 250 - 0.3 * s], axis=1)
+            normal = np.array([0.6, 0.8])
+            rows.append(
+                {
+                    "exposure": name, "setting": self.problem.groups[b], "size_px": [400, 300],
+                    "photograph": f"photographs/{b + 1}.jpg" if photographs else None,
+                    "same": d.verdict == "nothing-missing",
+                    "measured_px": line.tolist(),
+                    "before_px": (line - r.before[at, None] * normal).tolist(),
+                    "after_px": (line - r.after[at, None] * normal).tolist(),
+                    "s_mm": s.tolist(),
+                    "residual_mm": {
+                        "before": r.before[at].tolist(), "after": r.after[at].tolist(),
+                        "held_out_before": r.held_out_before[at].tolist(),
+                        "held_out_after": r.held_out_after[at].tolist(),
+                    },
+                    "sigma_mm": r.sigma[at].tolist(), "sigma_alone_mm": (0.8 * r.sigma[at]).tolist(),
+                }
+            )  # fmt: skip
+        catalogue = [{"name": e.name, "element": e.element, "says": e.says} for e in self.problem.catalogue]
+        states = {"before": "as stated", "after": "with what was found"}
+        return {
+            "format": page.FORMAT, "title": "six", "settings": 3, "states": states,
+            "catalogue": catalogue, "exposures": rows,
+        }  # fmt: skip
 
 
 def _nothing(values, block):
@@ -113,3 +153,33 @@ def verdicts(made):
         "located": replace(d, verdict="located", effects=()),
         "unexplained": replace(d, verdict="unexplained", effects=(), location=None),
     }
+
+
+@pytest.fixture(scope="session")
+def trial():
+    """A trial's score made by hand: three effects, nine cases, a miss and a wrong name among them."""
+    effects = ["screen-bow", "canting", "drift"]
+    outcomes = ["right", "right", "class", "missed", "wrong", "right", "right", "right", ""]
+    cases = [
+        {"case": f"c{k:03d}", "kind": "one effect" if o else "clean", "concealed": effects[k % 3] if o else "nothing",
+         "said": "nothing missing" if o in ("missed", "") else f"named: {effects[k % 3]}", "cause": o, "size": "",
+         "prediction": "right" if o == "right" else "", "snr": 4.0 + 6 * k if o else None, "rival_sigma": None,
+         "note": "judged twice" if k == 2 else ""}
+        for k, o in enumerate(outcomes)
+    ]  # fmt: skip
+    said = [*effects, "nothing"]
+    return {
+        "format": page_trial.FORMAT, "title": "2026-a", "headline": "5 of 8 concealed causes were named.",
+        "cases": cases,
+        "confusion": {"concealed": said, "said": said, "counts": np.diag([2, 2, 1, 1]).tolist()},
+        "reliability": [{"stated": 0.05, "right": 1, "of": 20, "low95": 0.01, "high95": 0.24},
+                        {"stated": 0.99, "right": 7, "of": 8, "low95": 0.53, "high95": 0.98}],
+        "power": [{"effect": e, "points": [{"snr": 5.0, "named": 1, "of": 3, "low95": 0.06, "high95": 0.79},
+                                           {"snr": 40.0, "named": 3, "of": 3, "low95": 0.44, "high95": 1.0}]}
+                  for e in effects],
+        "bars": [{"quantity": "named on clean cases", "bar": "≤ 2 %", "value": "0 %", "interval": "0 … 30 %", "n": 9,
+                  "state": "open"}],
+        "ledger": [{"line": k, "time": "2026-01-02T03:04:05+00:00", "what": f"commitment c{k:03d}", "hash": f"{k:064x}"}
+                   for k in range(1, 10)],
+        "verified": True, "commands": ["benchsim trial run --cases 9 --seed 7"],
+    }  # fmt: skip

@@ -102,45 +102,6 @@ STAMP = {
 }  # fmt: skip
 
 
-def plain(d):
-    """``diagnosis.json`` of a diagnosis."""
-    more = {"against": "bench", "lost": [], "remarks": [], "defaults_used": []}
-    return json.loads(json.dumps({**d.as_dict(), **more}, allow_nan=False))
-
-
-def beside(made, d=None, photographs=True):
-    """``page.json`` of the diagnosis made by hand: traces that slant through a picture of 400 × 300 px."""
-    d = d or made.diagnosis
-    r, rows = d.residuals, []
-    for b, name in enumerate(made.problem.names):
-        at = np.flatnonzero((made.problem.block == b) & (made.problem.kind == "c"))
-        s = made.problem.position[at]
-        line = np.stack([60 + 0.4 * s, 250 - 0.3 * s], axis=1)
-        normal = np.array([0.6, 0.8])
-        rows.append(
-            {
-                "exposure": name, "setting": made.problem.groups[b], "size_px": [400, 300],
-                "photograph": f"photographs/{b + 1}.jpg" if photographs else None,
-                "same": d.verdict == "nothing-missing",
-                "measured_px": line.tolist(),
-                "before_px": (line - r.before[at, None] * normal).tolist(),
-                "after_px": (line - r.after[at, None] * normal).tolist(),
-                "s_mm": s.tolist(),
-                "residual_mm": {
-                    "before": r.before[at].tolist(), "after": r.after[at].tolist(),
-                    "held_out_before": r.held_out_before[at].tolist(), "held_out_after": r.held_out_after[at].tolist(),
-                },
-                "sigma_mm": r.sigma[at].tolist(), "sigma_alone_mm": (0.8 * r.sigma[at]).tolist(),
-            }
-        )  # fmt: skip
-    catalogue = [{"name": e.name, "element": e.element, "says": e.says} for e in made.problem.catalogue]
-    states = {"before": "as stated", "after": "with what was found"}
-    return {
-        "format": page.FORMAT, "title": "six", "settings": 3, "states": states,
-        "catalogue": catalogue, "exposures": rows,
-    }  # fmt: skip
-
-
 @pytest.fixture(scope="module")
 def photographs():
     dark = np.linspace(0, 1, 300 * 400).reshape(300, 400)
@@ -148,7 +109,7 @@ def photographs():
 
 
 def diagnosed(made, d, photographs, **changes):
-    return Page(page.diagnosis_page({**plain(d), **changes}, beside(made, d), photographs, STAMP))
+    return Page(page.diagnosis_page({**made.plain(d), **changes}, made.beside(d), photographs, STAMP))
 
 
 @pytest.mark.parametrize("verdict", ["named", "nothing-missing", "class", "located", "unexplained"])
@@ -220,8 +181,10 @@ def test_a_law_stands_in_for_a_cause_without_a_name(made, verdicts, photographs)
 
 
 def test_probabilities_are_in_the_order_of_the_light_and_never_0_or_1(made):
-    d = plain(replace(made.diagnosis, probability={**made.diagnosis.probability, "canting": 0.0, "screen-bow": 1.0}))
-    rows = page_words.probabilities(d, beside(made))
+    d = made.plain(
+        replace(made.diagnosis, probability={**made.diagnosis.probability, "canting": 0.0, "screen-bow": 1.0})
+    )
+    rows = page_words.probabilities(d, made.beside())
     assert [e for e, _ in rows] == ["source", "mirror", "air", "screen", "camera", "time"]
     assert all(a["p"] >= b["p"] for _, of in rows for a, b in pairwise(of))
     flat = {r["name"]: r for _, of in rows for r in of}
@@ -234,20 +197,20 @@ def test_probabilities_are_in_the_order_of_the_light_and_never_0_or_1(made):
 
 def test_names_that_hold_markup_stay_text(made, photographs):
     evil = "<script>alert(1)</script>"
-    d = plain(made.diagnosis)
-    d["remarks"], extra = [evil], beside(made)
+    d = made.plain(made.diagnosis)
+    d["remarks"], extra = [evil], made.beside()
     extra["title"] = extra["exposures"][0]["exposure"] = evil
     html = page.diagnosis_page(d, extra, photographs, STAMP)
     assert evil not in html and html.count("&lt;script&gt;alert(1)") >= 4 and Page(html).faults == []
 
 
 def test_distances_are_enlarged_by_one_round_factor_that_is_said(made, photographs):
-    extra = beside(made)
+    extra = made.beside()
     factor = page.enlarged(extra["exposures"])
     widest = max(np.max(np.abs(x["residual_mm"]["before"])) for x in extra["exposures"])
     assert factor * widest / 500 == pytest.approx(page.APART, rel=0.6) and factor * widest / 500 <= page.APART
     assert factor in (50.0, 100.0)
-    html = page.diagnosis_page(plain(made.diagnosis), extra, photographs, STAMP)
+    html = page.diagnosis_page(made.plain(made.diagnosis), extra, photographs, STAMP)
     assert f"is drawn {factor:g} times as large as it is" in Page(html).text
     drawn = np.array([p.split() for p in re.search(r'class="before" d="M([^"]+)"', html)[1].split("L")], float)
     worst = max(extra["exposures"], key=lambda x: np.max(np.abs(x["residual_mm"]["before"])))
@@ -256,34 +219,34 @@ def test_distances_are_enlarged_by_one_round_factor_that_is_said(made, photograp
 
 
 def test_a_trace_far_off_is_drawn_to_scale(made):
-    extra = beside(made)
+    extra = made.beside()
     for x in extra["exposures"]:
         x["before_px"] = (np.array(x["measured_px"]) + 30).tolist()
     assert page.enlarged(extra["exposures"]) == 1.0
 
 
 def test_many_exposures_show_those_of_the_largest_misfit(made, photographs):
-    extra = beside(made)
+    extra = made.beside()
     one = extra["exposures"][0]
     extra["exposures"] = [
         {**one, "exposure": f"{k:03d}.png", "photograph": f"photographs/{k}.jpg",
          "before_px": (np.array(one["measured_px"]) + 0.01 * k).tolist()}
         for k in range(1, 41)
     ]  # fmt: skip
-    html = page.diagnosis_page(plain(made.diagnosis), extra, photographs, STAMP)
+    html = page.diagnosis_page(made.plain(made.diagnosis), extra, photographs, STAMP)
     p = Page(html)
     assert p.images == page.MOST_SHOWN and "28 more photographs, of smaller misfit" in p.text
     assert html.index(">040.png") < html.index(">039.png") and html.count("<figcaption>") == 40
 
 
 def test_without_photographs_residuals_are_still_there(made):
-    p = Page(page.diagnosis_page(plain(made.diagnosis), beside(made, photographs=False), {}, {}))
+    p = Page(page.diagnosis_page(made.plain(made.diagnosis), made.beside(photographs=False), {}, {}))
     assert p.faults == [] and p.images == 0 and "Photograph and prediction" not in p.text
     assert p.text.count("distance of the trace from its prediction") == 6
 
 
 def test_the_residual_drawing_holds_every_point_and_says_its_rms(made):
-    x = beside(made)["exposures"][0]
+    x = made.beside()["exposures"][0]
     x["residual_mm"]["held_out_after"][3] = None
     svg = str(page_plots.residuals(x))
     dots = re.findall(r'class="after dot" d="([^"]+)"', svg)
@@ -302,37 +265,8 @@ def test_ticks_are_round_and_within():
             assert np.allclose(step, step[0]) and f"{step[0]:.0e}"[0] in "125"
 
 
-def trial():
-    """A trial's score made by hand: three effects, nine cases, a miss and a wrong name among them."""
-    effects = ["screen-bow", "canting", "drift"]
-    outcomes = ["right", "right", "class", "missed", "wrong", "right", "right", "right", ""]
-    cases = [
-        {"case": f"c{k:03d}", "kind": "one effect" if o else "clean", "concealed": effects[k % 3] if o else "nothing",
-         "said": "nothing missing" if o in ("missed", "") else f"named: {effects[k % 3]}", "cause": o, "size": "",
-         "prediction": "right" if o == "right" else "", "snr": 4.0 + 6 * k if o else None, "rival_sigma": None,
-         "note": "judged twice" if k == 2 else ""}
-        for k, o in enumerate(outcomes)
-    ]  # fmt: skip
-    said = [*effects, "nothing"]
-    return {
-        "format": page_trial.FORMAT, "title": "2026-a", "headline": "5 of 8 concealed causes were named.",
-        "cases": cases,
-        "confusion": {"concealed": said, "said": said, "counts": np.diag([2, 2, 1, 1]).tolist()},
-        "reliability": [{"stated": 0.05, "right": 1, "of": 20, "low95": 0.01, "high95": 0.24},
-                        {"stated": 0.99, "right": 7, "of": 8, "low95": 0.53, "high95": 0.98}],
-        "power": [{"effect": e, "points": [{"snr": 5.0, "named": 1, "of": 3, "low95": 0.06, "high95": 0.79},
-                                           {"snr": 40.0, "named": 3, "of": 3, "low95": 0.44, "high95": 1.0}]}
-                  for e in effects],
-        "bars": [{"quantity": "named on clean cases", "bar": "≤ 2 %", "value": "0 %", "interval": "0 … 30 %", "n": 9,
-                  "state": "open"}],
-        "ledger": [{"line": k, "time": "2026-01-02T03:04:05+00:00", "what": f"commitment c{k:03d}", "hash": f"{k:064x}"}
-                   for k in range(1, 10)],
-        "verified": True, "commands": ["benchsim trial run --cases 9 --seed 7"],
-    }  # fmt: skip
-
-
-def test_a_trial_shows_its_table_its_misses_and_its_ledger():
-    p = Page(page.trial_page(trial(), {}))
+def test_a_trial_shows_its_table_its_misses_and_its_ledger(trial):
+    p = Page(page.trial_page(trial, {}))
     assert p.faults == [] and p.headings[0][1] == "5 of 8 concealed causes were named."
     for words in (
         "✗ wrong",
@@ -348,27 +282,27 @@ def test_a_trial_shows_its_table_its_misses_and_its_ledger():
     assert "stated 0.99: 7 of 8 there" in p.text and p.text.count("at 5: 1 of 3; at 40: 3 of 3") == 3
 
 
-def test_a_matrix_that_would_be_wide_is_a_list_first():
+def test_a_matrix_that_would_be_wide_is_a_list_first(trial):
     many = [f"effect-{k}" for k in range(page_trial.WIDE + 1)]
     counts = 2 * np.eye(len(many), dtype=int)
     counts[0, 3] = 1
-    score = {**trial(), "confusion": {"concealed": many, "said": many, "counts": counts.tolist()}}
+    score = {**trial, "confusion": {"concealed": many, "said": many, "counts": counts.tolist()}}
     p = Page(page.trial_page(score, {}))
     assert p.faults == [] and "effect-0 3 ✓ effect-0 × 2, effect-3 effect-1 2 ✓ effect-1 × 2" in p.text
-    assert "The same as a matrix" in p.text and "The same as a matrix" not in Page(page.trial_page(trial(), {})).text
+    assert "The same as a matrix" in p.text and "The same as a matrix" not in Page(page.trial_page(trial, {})).text
 
 
 @pytest.mark.parametrize(("chance", "words"), [(True, "scores at chance"), (False, "scores ✗ better than chance")])
-def test_a_trial_says_what_guards_it(chance, words):
+def test_a_trial_says_what_guards_it(trial, chance, words):
     leak = {"clue": "001.png size", "auc": 0.53, "p_value": 0.4, "at_chance": chance}
     guards = {"leak": leak, "withheld": ["coma", "drift"], "certificate": {"passed": chance}}
-    text = Page(page.trial_page({**trial(), **guards}, {})).text
+    text = Page(page.trial_page({**trial, **guards}, {})).text
     assert words in text and "“001.png size”" in text and "catalogue: coma and drift." in text
     assert ("failed its certificate" in text) != chance
 
 
-def test_a_trial_that_does_not_verify_says_so_first():
-    text = Page(page.trial_page({**trial(), "verified": False}, {})).text
+def test_a_trial_that_does_not_verify_says_so_first(trial):
+    text = Page(page.trial_page({**trial, "verified": False}, {})).text
     assert text.index("does not verify") < text.index("Scored apart")
 
 
@@ -393,7 +327,7 @@ def test_a_prediction_is_drawn_on_the_side_where_it_lies(turn):
 
 def folder_of(made, photographs, path):
     path.mkdir()
-    for name, value in (("diagnosis", plain(made.diagnosis)), ("page", beside(made)), ("benchsim", STAMP)):
+    for name, value in (("diagnosis", made.plain(made.diagnosis)), ("page", made.beside()), ("benchsim", STAMP)):
         (path / f"{name}.json").write_text(json.dumps(value))
     (path / "photographs").mkdir()
     for k in range(1, 7):
@@ -401,7 +335,7 @@ def folder_of(made, photographs, path):
     return path
 
 
-def test_the_command_writes_one_file_beside_the_results_or_where_it_is_told(made, photographs, tmp_path):
+def test_the_command_writes_one_file_beside_the_results_or_where_it_is_told(made, trial, photographs, tmp_path):
     folder = folder_of(made, photographs, tmp_path / "out")
     done = CliRunner().invoke(app, ["report", str(folder), "--json"])
     assert done.exit_code == 0 and json.loads(done.output)["of"] == "diagnosis"
@@ -409,7 +343,7 @@ def test_the_command_writes_one_file_beside_the_results_or_where_it_is_told(made
     assert Page(html).faults == [] and Page(html).images == 6
     again = jobs.report(folder, tmp_path / "page.html")
     assert again.path.read_text() == html and "the page of a diagnosis" in again.summary()
-    (folder / "score.json").write_text(json.dumps(trial()))
+    (folder / "score.json").write_text(json.dumps(trial))
     assert jobs.report(folder, tmp_path / "trial.html").of == "trial"
 
 

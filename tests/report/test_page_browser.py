@@ -124,30 +124,25 @@ def browser(tmp_path_factory):
 @pytest.fixture(scope="module")
 def report(made, tmp_path_factory):
     """The page of the diagnosis made by hand, with one grey photograph for all."""
-    grey = np.full((300, 400), 90, np.uint8)
-    jpeg = cv2.imencode(".jpg", grey)[1].tobytes()
-    exposures, r = [], made.diagnosis.residuals
-    for b, name in enumerate(made.problem.names):
-        at = np.flatnonzero((made.problem.block == b) & (made.problem.kind == "c"))
-        s = made.problem.position[at]
-        line = np.stack([60 + 0.4 * s, 250 - 0.3 * s], axis=1)
-        moved = {k: (line - v[at, None] * [0.6, 0.8]).tolist() for k, v in (("before", r.before), ("after", r.after))}
-        four = {k: getattr(r, k)[at].tolist() for k in ("before", "after", "held_out_before", "held_out_after")}
-        sigma = r.sigma[at].tolist()
-        exposures.append(
-            {"exposure": name, "setting": made.problem.groups[b], "size_px": [400, 300], "photograph": f"{b}.jpg",
-             "same": False, "measured_px": line.tolist(), "before_px": moved["before"], "after_px": moved["after"],
-             "s_mm": s.tolist(), "residual_mm": four, "sigma_mm": sigma, "sigma_alone_mm": sigma}
-        )  # fmt: skip
-    extra = {
-        "format": page.FORMAT, "title": "six", "settings": 3, "states": {"before": "as stated", "after": "put in"},
-        "catalogue": [{"name": e.name, "element": e.element, "says": e.says} for e in made.problem.catalogue],
-        "exposures": exposures,
-    }  # fmt: skip
-    d = {**made.diagnosis.as_dict(), "against": "bench", "lost": [], "remarks": [], "defaults_used": []}
+    jpeg = cv2.imencode(".jpg", np.full((300, 400), 90, np.uint8))[1].tobytes()
+    extra = made.beside()
+    photographs = {x["photograph"]: jpeg for x in extra["exposures"]}
     path = tmp_path_factory.mktemp("page") / "report.html"
-    write_text(path, page.diagnosis_page(d, extra, {f"{b}.jpg": jpeg for b in range(6)}, {}))
+    write_text(path, page.diagnosis_page(made.plain(made.diagnosis), extra, photographs, {}))
     return path
+
+
+@pytest.fixture(scope="module")
+def opened(trial, tmp_path_factory):
+    """The page of the trial made by hand."""
+    path = tmp_path_factory.mktemp("trial") / "report.html"
+    write_text(path, page.trial_page(trial, {}))
+    return path
+
+
+@pytest.fixture(params=["diagnosis", "trial"])
+def either(request, report, opened):
+    return request.param, {"diagnosis": report, "trial": opened}[request.param]
 
 
 def asked(browser):
@@ -163,8 +158,9 @@ def asked(browser):
 
 @pytest.mark.parametrize("place", WIDTHS)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_is_seen_whole_without_network(browser, report, place, scheme):
-    browser.show(report, WIDTHS[place], scheme)
+def test_it_is_seen_whole_without_network(browser, either, place, scheme):
+    name, path = either
+    browser.show(path, WIDTHS[place], scheme)
     assert asked(browser) == ([], [])
     assert browser.value("document.documentElement.scrollWidth") <= WIDTHS[place], "nothing hangs over the side"
     small = (
@@ -174,16 +170,16 @@ def test_it_is_seen_whole_without_network(browser, report, place, scheme):
         " ? e.closest('svg').getBoundingClientRect().width / 360 : 1))"
     )
     assert min(browser.value(small)) > 9, "letters can be read"
-    picture = browser.picture(f"diagnosis-{place}-{scheme}")
+    picture = browser.picture(f"{name}-{place}-{scheme}")
     assert picture.shape[1] == WIDTHS[place] and (picture[2, 2].mean() < 60) == (scheme == "dark")
     top = picture[:200].reshape(-1, 3).astype(int)
     assert np.ptp(top.mean(axis=1)) > 150, "the verdict stands out from the paper"
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_stands_out_from_what_is_behind_it(browser, report, scheme):
+def test_text_stands_out_from_what_is_behind_it(browser, either, scheme):
     """The contrast that WCAG 2 asks of text, 4.5 : 1."""
-    browser.show(report, 1280, scheme)
+    browser.show(either[1], 1280, scheme)
     pairs = browser.value(
         """[...document.querySelectorAll('main *, footer *')].filter(e => e.getClientRects().length
           && !e.closest('svg') && [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim())).map(e => {
@@ -194,13 +190,18 @@ def test_text_stands_out_from_what_is_behind_it(browser, report, scheme):
           })"""
     )
 
-    def luminance(css):
-        c = np.array([float(x) for x in re.findall(r"[\d.]+", css)[:3]]) / 255
+    def parts(css):
+        values = [float(x) for x in re.findall(r"[\d.]+", css)]
+        return np.array(values[:3]) / 255, (values[3] if len(values) > 3 else 1.0)
+
+    def luminance(c):
         return float(np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
 
+    paper, _ = parts(browser.value("getComputedStyle(document.body).backgroundColor"))
     assert len(pairs) > 80
     for front, back, words in pairs:
-        a, b = sorted((luminance(front), luminance(back)))
+        behind, share = parts(back)
+        a, b = sorted((luminance(parts(front)[0]), luminance(share * behind + (1 - share) * paper)))
         assert (b + 0.05) / (a + 0.05) >= 4.5, (words, front, back)
 
 
