@@ -39,7 +39,7 @@ COARSE_SIGMA = 1.5
 """Error of the detector's own corners, each coordinate [px]: 0.5 to 1 px rms on photographs of other code."""
 
 GAMMA_RANGE = (0.4, 3.0)
-"""Where an unknown gamma is looked for: 1 is a sensor, 2.2 a display's."""
+"""Where an unknown gamma is looked for, over what the picture was read with: 1 is that, 2.2 a display's."""
 
 GUESS_MARKS = 8
 """Marks by which an unknown gamma is judged."""
@@ -75,7 +75,7 @@ class MarkObservations:
     dropped : tuple of (int, str)
         Ids that were found but are not used, and why.
     gamma : float, or None
-        Guess of a gamma that the recording does not know.
+        Guess of what an unknown gamma leaves in the light as it was read: 1 where that reading was right.
     motion : (3, 3), or None
         Homography to the pixels of the dark picture, where the camera moved in between; see `motion.motion`.
     """
@@ -125,9 +125,10 @@ def find_marks(photograph: Photograph, marks: Marks | None, camera: Camera) -> M
     -----
     Corners are unbiased under any symmetric blur. A line of light across a mark is left out; an edge that is more
     than half covered is not measured, and a mark with fewer than two measured edges is dropped. Where the
-    camera's gamma is not known it is guessed from the shape of the edges, which a wrong gamma makes lopsided and moves:
-    sRGB read as linear puts them 0.4 px off, with the guess 0.02 px. Marks of less than 20 px come out up to 0.03 px
-    too large, of less than 14 px they are often missed; blur beyond a third of a cell has the same effect.
+    camera's gamma is not known, what `read_image` left of it is guessed from the shape of the edges, which a wrong
+    gamma makes lopsided and moves: sRGB read as linear puts them 0.4 px off, with the guess 0.02 px. Marks of less than
+    20 px come out up to 0.03 px too large, of less than 14 px they are often missed; blur beyond a third of a cell has
+    the same effect.
     """
     if marks is None or not marks.ids:
         raise BenchsimError(f"{photograph.name}: the recording lists no marks to look for; add screen.marks")
@@ -249,8 +250,8 @@ def _measure(photograph: Photograph, camera: Camera, ids: NDArray[np.intp], coar
     edges = Edges(quad, inner)
     light, gamma = photograph.marks_light, None
     if not photograph.linear:
-        gamma = _guess_gamma(photograph, camera, edges, coarse)
-        light, quantum = _raised(light, gamma), gamma**2 / 12
+        gamma = _guess_gamma(photograph, camera, edges, coarse, quantum)
+        light, quantum = _raised(light, gamma), gamma**2 * quantum
     fit = fit_edges(light, photograph.marks_saturated, camera, edges, quantum)
     good = _good_edges(fit)
     ideal, joint = _intersect(_with_coarse(fit, edges, good), n)
@@ -272,8 +273,8 @@ def _raised(light: NDArray[np.float32], gamma: float) -> NDArray[np.float32]:
     return (np.sign(light) * np.abs(light / top) ** np.float32(gamma) * top).astype(np.float32)
 
 
-def _guess_gamma(photograph: Photograph, camera: Camera, edges: Edges, coarse: Array) -> float:
-    """The gamma at which edges look most like symmetrically blurred steps, from up to ``GUESS_MARKS`` marks."""
+def _guess_gamma(photograph: Photograph, camera: Camera, edges: Edges, coarse: Array, quantum: float) -> float:
+    """The gamma left in the light: it makes edges of `GUESS_MARKS` marks look most like symmetrically blurred steps."""
     some = np.unique(np.linspace(0, len(coarse) - 1, GUESS_MARKS).astype(int))
     part = Edges(edges.corners[some], edges.inner.reshape(-1, 4, CELLS)[some].reshape(-1, CELLS))
     h, w = photograph.shape
@@ -286,7 +287,7 @@ def _guess_gamma(photograph: Photograph, camera: Camera, edges: Edges, coarse: A
 
     def roughness(gamma: float) -> float:
         light = _raised(photograph.marks_light[window], gamma)
-        fit = fit_edges(light, photograph.marks_saturated[window], moved, part, gamma**2 / 12)
+        fit = fit_edges(light, photograph.marks_saturated[window], moved, part, gamma**2 * quantum)
         return float(np.median(np.where(fit.used >= 0.5, fit.scatter, 1.0)))
 
     return float(minimize_scalar(roughness, bounds=GAMMA_RANGE, method="bounded", options={"xatol": 0.03}).x)

@@ -63,13 +63,14 @@ def motion(first: MarkObservations, second: MarkObservations) -> Array | None:
         return np.einsum("ni,nij,nj->n", off, weight, off)
 
     use = (first.measured[i] & second.measured[j]).all(axis=1)
-    found = None
+    found = np.eye(3)
     for _ in range(5):
         if use.sum() < FEWEST_COMMON:
             return None
-        found, _ = cv2.findHomography(a[use].reshape(-1, 2), b[use].reshape(-1, 2), 0)
-        if found is None:
+        fitted, _ = cv2.findHomography(a[use].reshape(-1, 2), b[use].reshape(-1, 2), 0)
+        if fitted is None:
             return None
+        found = np.asarray(fitted, float)
         miss = misses(found)
         previous, use = use, use & (miss <= OUTLYING**2 * max(float(np.median(miss[use])), 8.0))
         if np.array_equal(previous, use):
@@ -80,7 +81,7 @@ def motion(first: MarkObservations, second: MarkObservations) -> Array | None:
     shift = float(np.sqrt(np.mean((_moved(found, a[use]) - a[use]) ** 2)))
     if shift < HARMLESS or (still - left) / 8 < scale * f_distribution.isf(FALSE_ALARM, 8, dof):
         return None
-    return np.asarray(found, float)
+    return found
 
 
 def moved_by(homography: Array | None, corners: Array) -> float:

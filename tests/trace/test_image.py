@@ -1,5 +1,7 @@
 """Reading photographs: counts to light, channels, and every way in which a file can be of no use."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -54,11 +56,12 @@ def test_light_is_linear_and_free_of_black(tmp_path, suffix, bits, gamma):
     assert np.all(np.abs(p.light - light * (full - black)) <= 0.51 * p.light_per_count + 0.05)
 
 
-def test_unknown_gamma_is_read_as_linear_and_said(tmp_path):
-    p = read_image(
-        save(tmp_path / "a.png", counts(scene(), 8)), camera(bit_depth=8, saturation_level=255.0, gamma="unknown")
-    )
-    assert not p.linear
+@pytest.mark.parametrize("bits, read_as", [(8, "srgb"), (16, 1.0)])
+def test_unknown_gamma_is_read_as_what_is_usual_and_said(tmp_path, bits, read_as):
+    path = save(tmp_path / "a.png", counts(scene(), bits))
+    cam = camera(bit_depth=bits, saturation_level=2.0**bits - 1)
+    p, known = (read_image(path, replace(cam, gamma=gamma)) for gamma in ("unknown", read_as))
+    assert not p.linear and known.linear and np.array_equal(p.light, known.light)
 
 
 def test_twelve_bits_in_the_upper_of_sixteen(tmp_path):
@@ -107,13 +110,16 @@ def test_the_trace_is_taken_from_the_channel_that_shows_it_best(tmp_path):
 
 def test_a_channel_saturated_all_along_the_line_is_left(tmp_path):
     """Rationale: flanks of a flooded red line hold more light than the faint green one, but the shape of a crest that
-    is saturated everywhere cannot be known. Red stays where half of the line is free."""
+    is saturated everywhere cannot be known. Red stays where a tenth of the line is so."""
     cam = camera(bit_depth=8, saturation_level=255.0)
     flooded = read_image(save(tmp_path / "a.png", counts(colour(1.5, 0.3), 8)), cam)
     assert flooded.channel == "green" and not flooded.saturated.any()
-    half = colour(1.5, 0.3)
-    half[: H // 2] = colour(0.5, 0.1)[: H // 2]
-    assert read_image(save(tmp_path / "b.png", counts(half, 8)), cam).channel == "red"
+    tall = np.concatenate([colour(0.5, 0.1), colour(0.5, 0.1, seed=2)])
+    tall[:25] = colour(1.5, 0.3)[:25]
+    twice = camera(bit_depth=8, saturation_level=255.0)
+    twice = replace(twice, resolution=(W, 2 * H))
+    mixed = read_image(save(tmp_path / "b.png", counts(tall, 8)), twice)
+    assert mixed.channel == "red" and mixed.saturated.any()
 
 
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
