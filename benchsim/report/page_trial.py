@@ -62,7 +62,7 @@ def shown(score: Mapping[str, Any]) -> dict[str, Any]:
     score : mapping
         In the form above.
     """
-    nothing = {"concealed": [], "said": [], "counts": []}
+    nothing: dict[str, Any] = {"concealed": [], "said": [], "counts": []}
     absent = {"confusion": nothing, "verified": None, "leak": None, "certificate": None}
     lists: dict[str, Any] = {key: [] for key in ("reliability", "power", "bars", "ledger", "commands", "withheld")}
     score = {**absent, **lists, **score}
