@@ -46,7 +46,7 @@ def dask(tmp_path):
             process.wait()
 
 
-def wait(ready, seconds=60.0):
+def wait(ready, seconds=120.0):
     end = time.monotonic() + seconds
     while not ready():
         assert time.monotonic() < end
