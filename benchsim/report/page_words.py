@@ -212,6 +212,11 @@ def interval(i: Json) -> str:
     return f"{value} ({low} … {high})"
 
 
+def ended(sentence: str) -> str:
+    """With a full stop."""
+    return sentence if sentence.endswith((".", "!", "?")) else sentence + "."
+
+
 def _size(s: Json) -> str:
     return minus(rounded(Size(s["value"], s["sigma"], s["unit"])))
 
@@ -232,4 +237,5 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "separation": _separation,
     "minus": minus,
     "listed": listed,
+    "ended": ended,
 }

@@ -152,7 +152,7 @@ def test_a_named_effect_comes_with_size_remedy_place_and_what_settings_left_out_
         "In the screen, as a function of board y, z: odds of more than a million to 1",
         "3 folds, 816 data",
         "from 5120 to 60 (± 41): 98.8 % of it is removed",
-        "Roll the screen by 180° and repeat setting s1 It separates what is still open by 9.4 sigma",
+        "Roll the screen by 180° and repeat setting s1. It separates what is still open by 9.4 sigma",
         "window (win_1 = 0.770 mm needed)",
     ):
         assert words in text, words
@@ -169,7 +169,7 @@ def test_a_class_says_its_members_and_what_would_split_it(made, verdicts, photog
     text = diagnosed(made, verdicts["class"], photographs).text
     assert "One of these 2 together 99.1 %; the most probable first" in text
     assert "tangential-distortion with drift : What tangential-distortion does. What drift does." in text
-    assert "To tell them apart: Print marks It separates them by 12.0 sigma." in text
+    assert "To tell them apart: Print marks. It separates them by 12.0 sigma." in text
     assert text.count("in a class") == 3
 
 
