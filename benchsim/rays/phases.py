@@ -78,7 +78,9 @@ def many_phases(bench: Bench, members: Sequence[Bench], samples: int) -> Array:
     ``bench`` is the stack of the members (`stack.stacked`).
     """
     grid = np.linspace(-np.pi / 2, np.pi / 2, SEARCH[0])
-    beyond = _beyond(bench, np.broadcast_to(grid, (len(members), len(grid))))[0]
+    each = np.broadcast_to(grid, (len(members), len(grid)))
+    # The closed form takes one row of phases for all benches.
+    beyond = np.broadcast_to(_beyond(bench, each if bench.frame is None else grid[None])[0], each.shape)
     out = np.full((len(members), samples), np.nan)
     spans = np.zeros((len(members), 2))
     for i, member in enumerate(members):

@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 Shape = tuple[float, float, float]
 Case = tuple[Recording, Exposure, SettingErrors | None, Shape]
 
-TOGETHER = 16
-"""Most cases worked out together: beyond, the arrays outgrow a processor's cache and nothing more is gained."""
+TOGETHER = 64
+"""Most cases worked out together: beyond, little is gained for the memory."""
 
 
 def bench_of(

@@ -31,7 +31,7 @@ SAMPLES = 48
 FAR = 1e3
 """Centre line [mm] of a bench whose light misses the board: no fit stays there."""
 
-TOGETHER = 16
+TOGETHER = 64
 """Curves that are held against the data at once, which bounds the memory."""
 
 SHAPES = ("beam_c4", "beam_plus", "beam_cross")
