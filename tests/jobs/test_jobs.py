@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import subprocess
 import sys
 from itertools import pairwise
@@ -145,18 +146,18 @@ def test_the_summary_fits_a_terminal(ran):
     assert (ran.folder / "summary.txt").read_text() == text + "\n"
 
 
-def test_a_second_run_on_a_bench_replaces_the_folder(small_bench, tmp_path, monkeypatch):
+def test_a_run_on_a_bench_replaces_the_folder_of_an_earlier_run(small_bench, ran, tmp_path, monkeypatch):
     """A bench file is rendered into the folder first; the default folder is named after the file."""
     monkeypatch.chdir(tmp_path)
-    first = jobs.run(small_bench)
-    assert str(first.folder) == "small-run" and first.rendered
+    shutil.copytree(ran.folder, "small-run")
     (tmp_path / "small-run" / "left-over.txt").write_text("from before")
-    second = jobs.run(small_bench)
+    done = jobs.run(small_bench)
+    assert str(done.folder) == "small-run" and done.rendered and not ran.rendered
     assert "left-over.txt" not in names(tmp_path / "small-run") and names(tmp_path) == ["small-run"]
     assert names(tmp_path / "small-run" / "recording") == ["001-dark.png", "001.png", "marks.csv", "recording.toml"]
     check_stamp(tmp_path / "small-run", "run", ["small.toml", "marks.csv"])
     # One seed, one recording: only the order of threads moves the last bits.
-    before, after = (np.median(r.fit.fitted[0].trace.points, axis=0) for r in (first, second))
+    before, after = (np.median(r.fit.fitted[0].trace.points, axis=0) for r in (ran, done))
     assert after == pytest.approx(before, abs=0.01)
 
 
