@@ -40,6 +40,34 @@ class RenderResult:
         return "\n".join([*lines, *self.notes, f"next: benchsim run {self.folder}"])
 
 
+@dataclass(frozen=True)
+class PhoneResult:
+    """What ``render --phone`` wrote: paths relative to ``folder``."""
+
+    folder: Path
+    bench: tuple[str, ...]
+    board: tuple[str, ...]
+    seed: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``--json``."""
+        return {
+            "folder": str(self.folder),
+            "images": list(self.bench),
+            "calibration": list(self.board),
+            "seed": self.seed,
+        }
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        counts = f"{len(self.bench)} photographs of the bench and {len(self.board)} of the board"
+        return (
+            f"{counts}, made with seed {self.seed}, in {self.folder}/\n"
+            f"next: benchsim calibrate {self.folder}/board --board marks.csv, then benchsim new DIR --photos "
+            f"{self.folder}/bench"
+        )
+
+
 def render(
     bench: Path | str,
     output: Path | str | None = None,
@@ -49,9 +77,10 @@ def render(
     noise: bool = True,
     setting_errors: bool = True,
     conceal: bool = False,
+    phone: bool = False,
     variant: str | None = None,
     progress: Progress = silent,
-) -> RenderResult:
+) -> RenderResult | PhoneResult:
     """Render a bench file as a recording folder.
 
     Parameters
@@ -70,6 +99,8 @@ def render(
         False: every setting exactly as stated, in place of a draw from ``[uncertainty]`` once per setting.
     conceal : bool
         True: effects and fields are rendered, but not written into the recording.
+    phone : bool
+        True: photographs alone, as a phone makes them, of the bench and of the board; no recording is written.
     variant : str, optional
         Mitsuba's back end.
     progress : callable
@@ -77,7 +108,7 @@ def render(
 
     Returns
     -------
-    RenderResult
+    RenderResult or PhoneResult
 
     Raises
     ------
@@ -92,11 +123,13 @@ def render(
     options = {
         "seed": seed,
         # The stamp lies in the folder: what is concealed must not stand there either.
-        "effects": [] if conceal else list(effects),
+        "effects": [] if conceal or phone else list(effects),
         "noise": noise,
         "setting_errors": setting_errors,
-        "conceal": conceal,
+        "conceal": conceal or phone,
     }
+    if phone:
+        return _with_phone(recording, folder, options, variant, progress)
     with output_folder(folder, "render", sources(recording), options, recording.defaults_used) as staging:
         rendered, notes = render_into(
             recording,
@@ -109,6 +142,27 @@ def render(
             progress=progress,
         )
     return RenderResult(folder, rendered, recording.render.seed if seed is None else seed, notes)
+
+
+def _with_phone(
+    recording: Recording, folder: Path, options: dict[str, Any], variant: str | None, progress: Progress
+) -> PhoneResult:
+    from benchsim.render import backend
+    from benchsim.render.phone import photograph_with_phone
+
+    progress("testing Mitsuba's back end", 0.0)
+    backend.use(variant)
+    seed = recording.render.seed if options["seed"] is None else options["seed"]
+    with output_folder(folder, "render", sources(recording), options, recording.defaults_used) as staging:
+        truth = photograph_with_phone(
+            recording,
+            staging,
+            seed=seed,
+            noise=options["noise"],
+            setting_errors=options["setting_errors"],
+            progress=progress,
+        )
+    return PhoneResult(folder, truth.bench, truth.board, seed)
 
 
 def render_into(

@@ -1,0 +1,219 @@
+"""``benchsim check``: what a recording still lacks, and where it contradicts itself, before anything is fitted."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.files import complaints, read, sources
+from benchsim.bench.model import Recording
+from benchsim.bench.settings import screen_seats
+from benchsim.bench.writing import write_text
+from benchsim.intake import exposing, standing
+from benchsim.intake.finding import Finding, Kind
+from benchsim.intake.photo import Photo, read_photo
+from benchsim.intake.seeing import look
+from benchsim.jobs.output import label, output_folder
+from benchsim.jobs.progress import Progress, silent
+
+SETTINGS_TO_HOLD_OUT = 3
+"""Fewer settings leave none to test a diagnosis on."""
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What ``check`` found; ``looked`` says whether the pictures were looked at, which needs every key."""
+
+    name: str
+    findings: tuple[Finding, ...]
+    exposures: int
+    looked: bool
+    folder: Path
+
+    @property
+    def usable(self) -> bool:
+        """Nothing is missing or inconsistent."""
+        return self.looked and all(f.kind is Kind.remark for f in self.findings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``check.json``."""
+        return {
+            "format": "benchsim-check/1",
+            "usable": self.usable,
+            "pictures_looked_at": self.looked,
+            "findings": [{"kind": f.kind.value, "where": f.where, "says": f.says} for f in self.findings],
+        }
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        lines = []
+        for kind, title in ((Kind.missing, "MISSING"), (Kind.inconsistent, "INCONSISTENT"), (Kind.remark, "REMARKS")):
+            some = [f for f in self.findings if f.kind is kind]
+            if some:
+                lines += [f"{title} ({len(some)})", *(f"  {f.where}: {f.says}" for f in some)]
+        if self.usable:
+            lines.append(f"{self.name}: {self.exposures} exposures, nothing missing and nothing inconsistent")
+            lines.append(f"next: benchsim diagnose {self.folder}")
+        else:
+            what = "" if self.looked else "; the settings are compared with the pictures when every key can be read"
+            lines.append(f"{self.name}: not ready{what}")
+            lines.append(f"next: mend {self.folder}/recording.toml or the pictures, then benchsim check {self.folder}")
+        return "\n".join(lines)
+
+
+def check(recording: Path | str, output: Path | str | None = None, *, progress: Progress = silent) -> CheckResult:
+    """Say what a recording lacks and where it contradicts itself.
+
+    Parameters
+    ----------
+    recording : path
+        Recording folder or file.
+    output : path, optional
+        Folder for ``check.json`` and ``check.txt``; default: nothing is written.
+    progress : callable
+        Called with what is being done and the fraction done.
+
+    Returns
+    -------
+    CheckResult
+
+    Raises
+    ------
+    BenchsimError
+        If there is no recording, or it is no TOML file.
+    """
+    path = Path(recording)
+    findings = _keys(path)
+    read_in: Recording | None = None
+    if not findings:
+        try:
+            read_in = read(path, images=True)
+        except BenchsimError as error:
+            where, says = _split(str(error))
+            findings.append(Finding(Kind.inconsistent, where, says))
+    file = path / "recording.toml" if path.is_dir() else path
+    if read_in is None:
+        findings += _files(file, progress)
+        result = CheckResult(file.parent.name, tuple(findings), 0, False, file.parent)
+        inputs = [file]
+    else:
+        findings += _settings(read_in) + _pictures(read_in, progress)
+        result = CheckResult(label(read_in), tuple(findings), len(read_in.exposures), True, file.parent)
+        inputs = sources(read_in)
+    if output is not None:
+        with output_folder(Path(output), "check", inputs) as staging:
+            write_text(staging / "check.json", json.dumps(result.as_dict(), indent=1) + "\n")
+            write_text(staging / "check.txt", result.summary() + "\n")
+    return result
+
+
+def _keys(path: Path) -> list[Finding]:
+    """Keys that are missing or cannot be read."""
+    absent = ("not filled in", "required and missing")
+    return [
+        Finding(Kind.missing if mend.startswith(absent) else Kind.inconsistent, key, mend)
+        for key, mend in complaints(path)
+    ]
+
+
+def _split(message: str) -> tuple[str, str]:
+    """ "file: key: what" as ("key", "what"); a message without a key keeps its file."""
+    parts = message.split(": ", 2)
+    return (parts[1], parts[2]) if len(parts) == 3 else (parts[0], ": ".join(parts[1:]))
+
+
+def _files(file: Path, progress: Progress) -> list[Finding]:
+    """What the pictures' own words tell of a file that cannot be read as a recording yet."""
+    table = tomllib.loads(file.read_text(encoding="utf-8")).get("exposure", [])
+    named = [e for e in table if isinstance(e, dict) and isinstance(e.get("image"), str)]
+    out, photos, cameras = [], [], []
+    for i, e in enumerate(named):
+        progress(f"reading {e['image']}", i / len(named))
+        try:
+            photo, _ = read_photo(file.parent / e["image"])
+            photos.append(photo)
+            cameras.append(str(e.get("camera")))
+            if isinstance(e.get("dark"), str):
+                out += exposing.dark_alike(photo, read_photo(file.parent / e["dark"])[0])
+        except BenchsimError as error:
+            where, says = _split(str(error))
+            out.append(Finding(Kind.inconsistent, where, says))
+    return out + exposing.same_lens(photos, cameras) + exposing.merged(photos)
+
+
+def _settings(r: Recording) -> list[Finding]:
+    """What the file says of itself: settings that share a name but not their numbers, and what is worth knowing."""
+    out = []
+    first: dict[str, Any] = {}
+    for i, e in enumerate(r.exposures, 1):
+        stated = (e.laser_azimuth, e.laser_elevation, e.mirror_position)
+        if first.setdefault(e.setting, stated) != stated:
+            says = (
+                f"setting {e.setting} has other angles or another position in an earlier exposure; give it its own name"
+            )
+            out.append(Finding(Kind.inconsistent, f"exposure[{i}].setting", says))
+    count = len(first)
+    if count < SETTINGS_TO_HOLD_OUT:
+        says = (
+            f"{count} of them: a diagnosis cannot be tested on settings left out; record {SETTINGS_TO_HOLD_OUT} or more"
+        )
+        out.append(Finding(Kind.remark, "settings", says))
+    for name, camera in r.cameras.items():
+        if camera.gamma == "unknown":
+            says = "unknown: the light's place is used, its width and flux are not"
+            out.append(Finding(Kind.remark, f"cameras.{name}.gamma", says))
+        if not any(camera.distortion) and not any(r.uncertainty.intrinsics_sigma):
+            says = "stated as exact and without distortion; calibrate the camera, or state intrinsics_sigma"
+            out.append(Finding(Kind.remark, f"cameras.{name}", says))
+    taken = [d for d in r.defaults_used if re.match(r"(laser|mirror|uncertainty)\.", d)]
+    if taken:
+        out.append(Finding(Kind.remark, "defaults", f"taken where the file is silent: {', '.join(taken)}"))
+    return out
+
+
+def _pictures(r: Recording, progress: Progress) -> list[Finding]:
+    """What the pictures say and show, and whether the settings put the line where it is."""
+    out: list[Finding] = []
+    photos: list[Photo] = []
+    same: dict[str, str] = {}
+    seats = screen_seats(r.exposures)
+    sigma = r.uncertainty.intrinsics_sigma
+    for i, e in enumerate(r.exposures):
+        progress(f"looking at {e.name}", i / len(r.exposures))
+        assert e.image is not None
+        image, dark = r.folder / e.image, r.folder / e.dark if e.dark else None
+        twin = same.setdefault(hashlib.sha256(image.read_bytes()).hexdigest(), e.image)
+        if twin != e.image:
+            says = f"is the same picture as {twin}; mend image"
+            out.append(Finding(Kind.inconsistent, e.image, says))
+        try:
+            photos.append(read_photo(image)[0])
+            if dark is not None:
+                out += exposing.dark_alike(photos[-1], read_photo(dark)[0])
+        except BenchsimError as error:
+            where, says = _split(str(error))
+            out.append(Finding(Kind.inconsistent, where, says))
+            continue
+        seen = look(image, dark, r.cameras[e.camera], r.screen, sigma)
+        out += seen.findings
+        out += standing.stands(r, e, seen.line, reseated=seats[i] > 0)
+    if len(photos) == len(r.exposures):
+        out += exposing.same_lens(photos, [e.camera for e in r.exposures])
+        out += exposing.in_order(photos, [e.time for e in r.exposures])
+        for name, camera in r.cameras.items():
+            own = [p for p, e in zip(photos, r.exposures, strict=True) if e.camera == name]
+            out += exposing.focal_agrees(own, camera, sigma[0])
+        out += exposing.merged(photos)
+        lone = [e.image for e in r.exposures if e.dark is None]
+        if lone:
+            says = (
+                f"{len(lone)} exposures have none (first: {lone[0]}); the room's light is then guessed beside the line"
+            )
+            out.append(Finding(Kind.remark, "dark pictures", says))
+    return out
