@@ -44,8 +44,8 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
         yield lambda what, done: bar.update(task, description=what, completed=done)
 
 
-def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> None:
-    """Run a job and print its result; a complaint about the data is one sentence on stderr and exit 1."""
+def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
+    """Run a job, print its result and return it; a complaint about the data is one sentence on stderr and exit 1."""
     from benchsim.bench.errors import BenchsimError
 
     try:
@@ -63,6 +63,7 @@ def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> None:
         typer.echo(json.dumps(result.as_dict(), indent=1, allow_nan=False))
     else:
         typer.echo(result.summary())
+    return result
 
 
 @app.callback()
@@ -103,6 +104,9 @@ def render(
     conceal: Annotated[
         bool, typer.Option("--conceal", help="Render [effects] and [fields], but leave them out of the recording.")
     ] = False,
+    phone: Annotated[
+        bool, typer.Option("--phone", help="Photographs alone, of bench and board, as a phone makes them.")
+    ] = False,
     json: Json = False,
     variant: Variant = None,
 ) -> None:
@@ -111,7 +115,7 @@ def render(
 
     _do(
         jobs.render, json, bench=bench, output=output, seed=seed, effects=effect or [], noise=noise,
-        setting_errors=setting_errors, conceal=conceal, variant=variant,
+        setting_errors=setting_errors, conceal=conceal, phone=phone, variant=variant,
     )  # fmt: skip
 
 
@@ -338,6 +342,65 @@ def trial_run(
         trial.run, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, scheduler=scheduler,
         workers=workers,
     )  # fmt: skip
+
+
+@app.command()
+def calibrate(
+    photos: Annotated[list[Path], typer.Argument(help="A dozen photographs of the board, or the folder they are in.")],
+    board: Annotated[Path, typer.Option(help="marks.csv of the board, corrected by what its print measures.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write; default ./camera.toml.")] = None,
+    name: Annotated[str, typer.Option(help="What the camera is called in recordings.")] = "A",
+    gamma: Annotated[
+        str, typer.Option(help="Of the pictures: a number, srgb or unknown; goes into the file.")
+    ] = "unknown",
+    json: Json = False,
+) -> None:
+    """Calibrate a camera: intrinsics and distortion with covariance, or which views to add."""
+    from benchsim import jobs
+
+    value: float | str = gamma
+    if gamma not in ("srgb", "unknown"):
+        try:
+            value = float(gamma)
+        except ValueError:
+            value = 0.0
+        if not value > 0:
+            raise typer.BadParameter("give a number above 0, srgb or unknown", param_hint="--gamma")
+    _do(jobs.calibrate, json, photos=photos, board=board, output=output, name=name, gamma=value)
+
+
+@app.command()
+def new(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make; holds the recording afterwards.")],
+    more: Annotated[
+        list[Path] | None, typer.Argument(metavar="[PHOTOS]...", help="More photographs, as the shell expands *.jpg.")
+    ] = None,
+    photos: Annotated[
+        list[Path] | None, typer.Option("--photos", help="Photographs with their dark pictures, or a folder of them.")
+    ] = None,
+    calibration: Annotated[Path | None, typer.Option(help="camera.toml of 'benchsim calibrate'.")] = None,
+    marks: Annotated[Path | None, typer.Option(help="The board's marks.csv.")] = None,
+    json: Json = False,
+) -> None:
+    """Begin a recording from photographs: what they say is filled in, what only you know is marked."""
+    from benchsim import jobs
+
+    _do(
+        jobs.new, json, folder=folder, photos=[*(photos or []), *(more or [])], calibration=calibration, marks=marks
+    )  # fmt: skip
+
+
+@app.command()
+def check(
+    recording: Annotated[Path, typer.Argument(help="Recording folder.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default: none.")] = None,
+    json: Json = False,
+) -> None:
+    """Say what a recording still lacks, and where it contradicts itself, before anything is fitted."""
+    from benchsim import jobs
+
+    if not _do(jobs.check, json, recording=recording, output=output).usable:
+        raise typer.Exit(1)
 
 
 def main() -> None:

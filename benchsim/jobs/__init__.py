@@ -17,9 +17,12 @@ _MODULES = {
     "effects": "effecting",
     "report": "reporting",
     "board": "boarding",
+    "calibrate": "calibrating",
+    "new": "newing",
+    "check": "checking",
 }
 
-__all__ = ["board", "diagnose", "effects", "fit", "render", "report", "run", "validate"]
+__all__ = ["board", "calibrate", "check", "diagnose", "effects", "fit", "new", "render", "report", "run", "validate"]
 
 
 def __getattr__(name: str) -> Any:
