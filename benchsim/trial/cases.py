@@ -8,7 +8,7 @@ independently of anything that the judge sees.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field
 from benchsim.bench.files import write
 from benchsim.bench.model import Recording, RenderOptions
@@ -193,6 +194,11 @@ def noise(options: RenderOptions, kind: str, rng: np.random.Generator) -> Render
     )
 
 
+TRIES = 8
+"""Draws of a case of which the first that can be photographed and read is taken: a large effect may throw the trace off
+the board, where a person would have taken the recording anew."""
+
+
 def make(plan: Plan, number: int, folder: Path) -> dict[str, Any]:
     """Conceal, photograph and judge the visibility of case ``number`` (from 1).
 
@@ -207,7 +213,29 @@ def make(plan: Plan, number: int, folder: Path) -> dict[str, Any]:
     -------
     dict
         The truth in plain values; see README.md.
+
+    Raises
+    ------
+    BenchsimError
+        If none of `TRIES` draws can be photographed and read.
     """
+    return first_that_goes(lambda k: _made(plan, number, k, folder), folder)
+
+
+def first_that_goes(attempt: Callable[[int], dict[str, Any]], folder: Path) -> dict[str, Any]:
+    """Truth of the first attempt without a complaint; the folder holds what that one wrote. See `TRIES`."""
+    for k in range(TRIES):
+        try:
+            return {**attempt(k), "attempt": k}
+        except BenchsimError:
+            for path in folder.iterdir():
+                path.unlink()
+            if k == TRIES - 1:
+                raise
+    raise AssertionError
+
+
+def _made(plan: Plan, number: int, attempt: int, folder: Path) -> dict[str, Any]:
     import cv2
     import drjit as dr
 
@@ -218,11 +246,11 @@ def make(plan: Plan, number: int, folder: Path) -> dict[str, Any]:
     dr.set_thread_count(1)
     cv2.setNumThreads(1)
     kind, design = plan.kinds[number - 1], plan.designs[number - 1]
-    bench = draws.bench(design, rng_of(plan.seed, number, "bench"), plan.shrink)
-    concealed = drawn(bench, kind, plan.withheld, rng_of(plan.seed, number, "concealed"))
+    bench = draws.bench(design, rng_of(plan.seed, number, "bench", attempt), plan.shrink)
+    concealed = drawn(bench, kind, plan.withheld, rng_of(plan.seed, number, "concealed", attempt))
     if plan.zero:
         concealed = zeroed(concealed, bench)
-    options = noise(bench.render, kind, rng_of(plan.seed, number, "noise"))
+    options = noise(bench.render, kind, rng_of(plan.seed, number, "noise", attempt))
     scale = OVERSTATED if kind == "clean-settings" else 1.0
     true = replace(
         bench,
@@ -231,7 +259,7 @@ def make(plan: Plan, number: int, folder: Path) -> dict[str, Any]:
         render=options,
         uncertainty=_times(bench, scale),
     )
-    seed = int(rng_of(plan.seed, number, "photographs").integers(2**62))
+    seed = int(rng_of(plan.seed, number, "photographs", attempt).integers(2**62))
     made = render_recording(true, folder, seed=seed, conceal=True)
     # What the file states are the errors that hands were thought to make, not those that they made.
     stated = replace(made.recording, uncertainty=bench.uncertainty)

@@ -108,8 +108,14 @@ def cluster(scheduler: str | None = None, workers: int | None = None, timeout: f
 
 
 def _quiet(function: Callable[..., Any], *arguments: Any) -> Any:
-    """One thread for OpenCV too: the others are set by Dask for the processes that it starts."""
+    """One thread for OpenCV too: the others are set by Dask for the processes that it starts.
+
+    What ends a case is a result, which Dask need not print.
+    """
     import cv2
 
     cv2.setNumThreads(1)
-    return function(*arguments)
+    try:
+        return function(*arguments)
+    except Exception as error:
+        return error

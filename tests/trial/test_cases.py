@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.bench import effects as catalogue
 from benchsim.instruments.bench import observables
 from benchsim.instruments.bench import problem as bench_problem
@@ -82,6 +83,23 @@ def test_a_kind_conceals_what_it_says(bench, kind):
     assert len(found.effects) == wanted.get(kind, 1)
     assert bool(found.fields) == bool(found.stranger) == (kind == "stranger")
     assert all((name in withheld) == (kind == "removed") for name in found.effects)
+
+
+def test_what_cannot_be_photographed_is_drawn_anew(tmp_path):
+    def attempt(k):
+        (tmp_path / f"{k}.png").touch()
+        if k < 2:
+            raise BenchsimError("misses the board")
+        return {"case": "001"}
+
+    assert cases.first_that_goes(attempt, tmp_path) == {"case": "001", "attempt": 2}
+    assert [p.name for p in tmp_path.iterdir()] == ["2.png"]
+
+    def never(k):
+        raise BenchsimError(f"draw {k}")
+
+    with pytest.raises(BenchsimError, match=f"draw {cases.TRIES - 1}"):
+        cases.first_that_goes(never, tmp_path)
 
 
 def test_noise_and_ray_counts_differ_from_case_to_case(bench):
