@@ -10,7 +10,7 @@ import pytest
 
 from benchsim import trial
 from benchsim.bench.errors import BenchsimError
-from benchsim.trial import cases, equal, leak, ledger
+from benchsim.trial import cases, equal, leak, ledger, running
 from benchsim.trial.hashing import commitment
 
 CASES, SEED = 20, 7
@@ -292,3 +292,8 @@ def test_the_plan_draws_kinds_in_their_shares():
     assert plan.kinds != cases.plan(200, 2).kinds
     assert cases.planned(json.loads(json.dumps(plan.plain()))) == plan
     assert len({cases.plan(1).seed for _ in range(3)}) == 3
+
+
+def test_the_judge_s_own_process_tells_when_it_fails(tmp_path):
+    with pytest.raises(BenchsimError, match="the judge ended with 1"):
+        running.apart(tmp_path, tmp_path / "v", None, 0)
