@@ -76,7 +76,7 @@ class PhoneTruth:
     """What a phone's pictures are made of; none of it lies in the folder.
 
     ``bench``, ``board``: paths of the pictures relative to the folder, of the bench a photograph and its dark picture
-    in turn. ``laser``, ``camera``: the true ones. ``errors``, ``poses``: of every exposure.
+    in turn. ``laser``, ``camera``: the true ones. ``errors``, ``poses``, ``dark_poses``: of every exposure.
     """
 
     bench: tuple[str, ...]
@@ -85,6 +85,7 @@ class PhoneTruth:
     camera: Camera
     errors: tuple[SettingErrors, ...]
     poses: tuple[Pose, ...]
+    dark_poses: tuple[Pose, ...]
 
 
 def photograph_with_phone(
@@ -137,7 +138,7 @@ def photograph_with_phone(
         camera = draw_cameras(recording, streams[0])[stated.name]
     true = replace(recording, laser=laser, cameras={stated.name: camera})
     grain = streams[3] if noise and options.noise else None
-    total, bench, board, poses = len(exposures) + phone.views, [], [], []
+    total, bench, board, poses, dark_poses = len(exposures) + phone.views, [], [], [], []
     (folder / "bench").mkdir(exist_ok=True)
     (folder / "board").mkdir(exist_ok=True)
     order = list(dict.fromkeys(e.setting for e in exposures))
@@ -148,8 +149,9 @@ def photograph_with_phone(
         upright = phone.portrait > 0 and order.index(e.setting) % phone.portrait == phone.portrait - 1
         pose = draw_pose(camera, streams[1]) if setting_errors else camera_pose(camera)
         pose = turned(pose, [0.0, 0.0, -np.pi / 2]) if upright else pose
-        poses.append(pose)
         after = turned(pose, [*(streams[1].normal(0, phone.motion / camera.focal, 2)), 0.0])
+        poses.append(pose)
+        dark_poses.append(after)
 
         try:
             with_laser = signals(
@@ -177,7 +179,7 @@ def photograph_with_phone(
         _write(folder / name, counts, stated, last + 600.0 + 15.0 * i, 1, phone.quality)
         board.append(name)
     tell("photographed", 1.0)
-    return PhoneTruth(tuple(bench), tuple(board), laser, camera, tuple(errors), tuple(poses))
+    return PhoneTruth(tuple(bench), tuple(board), laser, camera, tuple(errors), tuple(poses), tuple(dark_poses))
 
 
 def _seen(recording: Recording, camera: Camera, light: ScreenMap | None, where: Placement, pose: Pose) -> Picture:
