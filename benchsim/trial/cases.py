@@ -183,7 +183,11 @@ def zeroed(concealed: Concealed, recording: Recording) -> Concealed:
 
 def noise(options: RenderOptions, kind: str, rng: np.random.Generator) -> RenderOptions:
     """Sensor, lens, speckle and ray count of a case."""
-    speckled = kind == "clean-speckle" or rng.random() < 0.3
+    # Of cases without anything concealed one kind has speckle and the others have none, so that each has its own rate;
+    # of the others as many have it, so that speckle tells nothing of what is concealed.
+    nothing = [k for k in KINDS if k.startswith("clean")]
+    share = KINDS["clean-speckle"] / sum(KINDS[k] for k in nothing)
+    speckled = kind == "clean-speckle" if kind in nothing else rng.random() < share
     return replace(
         options,
         full_well_e=float(rng.uniform(8000, 20000)),

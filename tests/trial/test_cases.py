@@ -107,4 +107,19 @@ def test_noise_and_ray_counts_differ_from_case_to_case(bench):
     for key in ("full_well_e", "read_noise_e", "blur_px", "relative_error"):
         assert len({getattr(o, key) for o in drawn}) == 40
     assert {o.speckle_px > 0 for o in drawn} == {True, False}
-    assert cases.noise(bench.render, "clean-speckle", rng_of("00", 1, "noise")).speckle_px > 0
+
+
+def test_speckle_tells_nothing_of_what_is_concealed(bench):
+    """Its share is the same with and without: 1 in 5; of 400 draws 80 ± 8, so that 5 sigma are 40."""
+
+    def share(kinds):
+        rng = np.random.default_rng(8)
+        chosen = rng.choice(
+            kinds, 400, p=np.array([cases.KINDS[k] for k in kinds]) / sum(cases.KINDS[k] for k in kinds)
+        )
+        return sum(cases.noise(bench.render, str(k), rng).speckle_px > 0 for k in chosen)
+
+    nothing = [k for k in cases.KINDS if k.startswith("clean")]
+    assert abs(share(nothing) - 80) < 40
+    assert abs(share([k for k in cases.KINDS if k not in nothing]) - 80) < 40
+    assert cases.noise(bench.render, "clean", np.random.default_rng(1)).speckle_px == 0
