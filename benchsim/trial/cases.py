@@ -41,7 +41,7 @@ KINDS: Mapping[str, float] = {
     "clean-speckle": 0.05,
     "clean-settings": 0.05,
 }
-"""Share of each kind of case. ``below-another``: a pair of which one is at least three times as visible as the other;
+"""Share of each kind of case. ``below-another``: a pair of which one is aimed at thrice the SNR of the other or more;
 ``below-the-settings``: an effect that moves the light less than its setting errors do; ``removed``: an effect that the
 judge's catalogue lacks; ``stranger``: one that no catalogue holds; ``clean-settings``: errors thrice those stated."""
 
