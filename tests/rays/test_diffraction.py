@@ -150,7 +150,7 @@ def test_two_dimensional_kirchhoff():
     """
     p = place(Mirror(), FIG7A, SKEWED)
     bench = Bench(Laser(), Mirror(), Physics(), Screen(), p)
-    q = np.linspace(-3.5, 3.5, 29)
+    q = np.linspace(-3.5, 3.5, 13)
     phases = sample_phases(bench, 33)
     points, tangent, nodes = beam_profiles(bench, phases)
     one = nodes.only(slice(8, 9))

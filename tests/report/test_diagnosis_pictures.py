@@ -24,7 +24,7 @@ def near(picture, colour):
 
 
 @pytest.mark.parametrize("held_out", [True, False])
-def test_residuals_and_observables_are_drawn_with_and_without_left_out_settings(made, tmp_path, held_out):
+def test_residuals_are_drawn_with_and_without_left_out_settings(made, tmp_path, held_out):
     d = made.diagnosis
     if not held_out:
         none = np.full(len(made.problem.data), np.nan)
@@ -32,7 +32,11 @@ def test_residuals_and_observables_are_drawn_with_and_without_left_out_settings(
     (path,) = pictures.residuals(tmp_path, made.problem, d, "six")
     tall = drawn(path).shape[0]
     assert (tall > 1000) == held_out
-    pictures.observables(tmp_path / "observables.png", made.problem, d, "six")
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_observables_are_drawn(made, tmp_path):
+    pictures.observables(tmp_path / "observables.png", made.problem, made.diagnosis, "six")
     drawn(tmp_path / "observables.png")
     assert not list(tmp_path.glob(".*"))
 

@@ -39,15 +39,15 @@ def photograph_board():
     """Function (camera, rotation, translation, marks, blur, samples=16) → reflectance of every pixel, (h, w).
 
     Pixels near an edge hold the mean of 16 × 16 samples of their area, jittered, so that no grid of samples moves an
-    edge.
+    edge. Between its corners a pixel is taken for a bilinear patch of the board, which is off by 2e-4 px at most.
     """
 
     def take(camera: Camera, rotation, translation, marks: Marks, blur: float = 0.6, samples: int = 16, seed: int = 1):
         rng = np.random.default_rng(seed)
         w, h = camera.resolution
-        v, u = np.mgrid[0:h, 0:w].astype(float)
         corner = np.stack(np.meshgrid(np.arange(w + 1), np.arange(h + 1)), axis=-1).reshape(-1, 2) - 0.5
-        at = reflectance(board_points(camera, rotation, translation, corner), marks).reshape(h + 1, w + 1)
+        on = board_points(camera, rotation, translation, corner)
+        at, on = reflectance(on, marks).reshape(h + 1, w + 1), on.reshape(h + 1, w + 1, 2)
         picture = at[:-1, :-1].copy()
         differs = (
             cv2.dilate(
@@ -57,12 +57,14 @@ def photograph_board():
             > 0
         )
         i, j = np.nonzero(differs)
-        place = np.stack([u[i, j], v[i, j]], axis=-1)[:, None]
+        base, along, down = on[i, j], on[i, j + 1] - on[i, j], on[i + 1, j] - on[i, j]
+        twist = on[i + 1, j + 1] - on[i + 1, j] - along
         total = np.zeros(len(i))
         for k in range(samples):
             row = np.stack([np.arange(samples), np.full(samples, k)], axis=-1) + rng.random((len(i), samples, 2))
-            points = (place + row / samples - 0.5).reshape(-1, 2)
-            total += reflectance(board_points(camera, rotation, translation, points), marks).reshape(-1, samples).sum(1)
+            x, y = row[..., :1] / samples, row[..., 1:] / samples
+            points = base[:, None] + x * along[:, None] + y * (down[:, None] + x * twist[:, None])
+            total += reflectance(points.reshape(-1, 2), marks).reshape(-1, samples).sum(1)
         picture[i, j] = total / samples**2
         return gaussian_filter(picture, blur, mode="nearest", truncate=5.0)
 
