@@ -1,4 +1,4 @@
-"""The picture of a calibration: residuals over the picture, how well each place of it is fixed, every view's own say."""
+"""The picture of a calibration: residuals over the picture, how well each place is fixed, every view's own say."""
 
 from __future__ import annotations
 

@@ -1,0 +1,6 @@
+"""The sets of this folder can be imported by name from its tests."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
