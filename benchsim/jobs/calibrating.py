@@ -264,6 +264,6 @@ def _draw(result: CalibrateResult) -> None:
         c.focal.sigma[:, 0],
         b.rms,
         f"camera {c.camera.name}: {len(c.names)} photographs, {_marks(c)} marks, residuals {_rms(c):.3f} px rms",
-        f"one focal length for all pictures? p = {c.focal.probability:.2g}; from far to near {100 * c.focal.trend:+.3f} "
-        f"± {100 * c.focal.trend_sigma:.3f} %",
+        f"one focal length for all pictures? p = {c.focal.probability:.2g}; far to near {100 * c.focal.trend:+.3f} ± "
+        f"{100 * c.focal.trend_sigma:.3f} %",
     )
