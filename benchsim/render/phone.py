@@ -39,6 +39,11 @@ VIEW_TILT = 0.6
 """Largest angle of a calibration's view to the board's normal [rad]."""
 
 
+BOARD_LEVEL = 0.4
+"""White of the board in a calibration's view, at the middle of the picture, as a share of the range: the lamp makes one
+side half as bright again, and a phone's curve leaves no room near white."""
+
+
 @dataclass(frozen=True)
 class Phone:
     """What a phone adds to a sensor.
@@ -172,7 +177,7 @@ def photograph_with_phone(
     for i in range(phone.views):
         tell("photographing the board", (len(exposures) + i) / total)
         view = _seen(recording, camera, None, flat, _view(camera, i, streams[1]))
-        lit = gaussian_filter(view.room, options.blur_px) * np.float32(0.6 / recording.screen.reflectance)
+        lit = gaussian_filter(view.room, options.blur_px) * np.float32(BOARD_LEVEL / recording.screen.reflectance)
         name = f"board/IMG_{2 * len(exposures) + i + 1:04d}.jpg"
         counts = _developed(Signals(np.zeros_like(lit), lit), camera, recording, phone, grain)
         last = max(e.time for e in exposures)

@@ -1,0 +1,271 @@
+"""Photographs as a phone makes them, from camera to verdict: is a clean bench left alone, is a bowed board named?
+
+    python analysis/phone_recordings.py run --rows clean,bow --cases 2 --seed 6 --out out/phone
+    python analysis/phone_recordings.py table out/phone/*.jsonl
+    python analysis/phone_recordings.py walk --out out/walk
+    python analysis/phone_recordings.py pictures --out out/walk
+
+`run`: the bench of ``scenes/phone/bench.toml``, every case with setting errors, lens, motion and noise of its own,
+drawn from (seed, case). Photographs are calibrated by `benchsim calibrate` from the views of the board, which bows
+there too, begun by `benchsim new`, filled in as a person would, checked and diagnosed. A bow is 20 sigma large: four
+times the five-sigma limit that the diagnosis of the first clean case states, in a direction drawn per case. Every step
+that is done stays done; a stopped study goes on where it was. ``--megapixels`` takes a smaller phone, for a quick look.
+
+`walk`: the commands of ``scenes/phone/README.md`` one after the other, with their times. `pictures`: those of that
+page, from the photographs that `walk` left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from scipy.stats import beta
+
+PHONE = Path(__file__).resolve().parents[1] / "scenes" / "phone"
+SIGMAS = 20.0
+
+
+def fill(recording: Path, bench: Path) -> None:
+    """Write what the person at the bench knows into the places that `benchsim new` marked."""
+    mine, known = tomlkit.parse(recording.read_text()), tomlkit.parse(bench.read_text())
+    for table in ("laser", "mirror", "screen"):
+        for key, value in known[table].items():
+            if mine[table].get(key) == "?":
+                mine[table][key] = value
+    for key, value in known["uncertainty"].items():
+        if key != "intrinsics_sigma":
+            mine["uncertainty"][key] = value
+    for e, stated in zip(mine["exposure"], known["exposure"], strict=True):
+        for key in ("laser_azimuth_deg", "laser_elevation_deg", "mirror_position_mm", "screen_roll_deg"):
+            if key in stated:
+                e[key] = stated[key]
+    recording.write_text(tomlkit.dumps(mine))
+
+
+def smaller(bench: Path, folder: Path, megapixels: float) -> Path:
+    """The bench with a phone of so many megapixels, beside its marks."""
+    doc = tomlkit.parse(bench.read_text())
+    for camera in doc["cameras"].values():
+        w, h = camera["resolution_px"]
+        k = float(np.sqrt(megapixels * 1e6 / (w * h)))
+        if k < 0.99:
+            camera["resolution_px"] = [round(w * k), round(h * k)]
+            camera["focal_px"] = float(camera["focal_px"]) * k
+            camera["principal_point_px"] = [(round(n * k) - 1) / 2 for n in (w, h)]
+            doc["uncertainty"]["intrinsics_sigma"][1] *= k
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "bench.toml").write_text(tomlkit.dumps(doc))
+    (folder / "marks.csv").write_bytes((bench.parent / "marks.csv").read_bytes())
+    return folder / "bench.toml"
+
+
+def command(log: list[dict[str, Any]], *words: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run one command of benchsim, noting its times."""
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+    args = [str(w) for w in words]
+    done = subprocess.run([sys.executable, "-m", "benchsim", *args], capture_output=True, text=True, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    log.append(
+        {
+            "command": args[0],
+            "wall_s": round(time.monotonic() - began, 1),
+            "cpu_s": round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 1),
+            "exit": done.returncode,
+        }
+    )
+    print(f"  {' '.join(args)}: {log[-1]}", file=sys.stderr, flush=True)
+    return done
+
+
+def one_case(folder: Path, bench: Path, seed: int, effects: Sequence[str]) -> dict[str, Any]:
+    """From photographs to the verdict; what lies in the folder already is taken as done."""
+    times = folder / "times.json"
+    log: list[dict[str, Any]] = json.loads(times.read_text()) if times.exists() else []
+    folder.mkdir(parents=True, exist_ok=True)
+    board = ["--board", bench.parent / "marks.csv"]
+    steps: list[tuple[Path, list[str | Path]]] = [
+        (folder / "photos", ["render", bench, "--phone", "--seed", str(seed), "-o", folder / "photos", *effects]),
+        (folder / "camera.toml", ["calibrate", folder / "photos" / "board", *board, "-o", folder / "camera.toml"]),
+        (
+            folder / "recording" / "recording.toml",
+            ["new", folder / "recording", "--photos", folder / "photos" / "bench", "--calibration",
+             folder / "camera.toml", "--marks", bench.parent / "marks.csv"],
+        ),
+        (folder / "check", ["check", folder / "recording", "-o", folder / "check"]),
+        (
+            folder / "diagnosis" / "diagnosis.json",
+            ["diagnose", folder / "recording", "--no-pictures", "-o", folder / "diagnosis"],
+        ),
+    ]  # fmt: skip
+    for made, words in steps:
+        if made.exists():
+            continue
+        done = command(log, *words)
+        times.write_text(json.dumps(log))
+        if not made.exists():
+            return {"stopped": words[0], "says": done.stderr.strip()[-400:]}
+        if words[0] == "new":
+            fill(made, bench)
+    checked = json.loads((folder / "check" / "check.json").read_text())
+    found = json.loads((folder / "diagnosis" / "diagnosis.json").read_text())
+    return {
+        "usable": checked["usable"],
+        "verdict": found["verdict"],
+        "effects": [e["name"] for e in found["effects"]],
+        "classes": [c["members"] for c in found["classes"]],
+        "parameters": {e["name"]: e["parameters"] for e in found["effects"]},
+        "bow_limit": found["limits"].get("screen-bow", {}).get("five_sigma"),
+        "noise": found["noise"],
+        "cpu_s": round(sum(step["cpu_s"] for step in log), 1),
+    }
+
+
+def run(rows: Sequence[str], cases: int, seed: int, megapixels: float, out: Path) -> None:
+    """Every row's cases, clean ones first: they say how large a bow must be."""
+    bench = smaller(PHONE / "bench.toml", out / "bench", megapixels)
+    for row in sorted(rows, key=lambda r: r != "clean"):
+        table = out / f"{row}-{seed}.jsonl"
+        done = {json.loads(line)["case"] for line in table.read_text().splitlines()} if table.exists() else set()
+        for case in range(cases):
+            if case in done:
+                continue
+            own = 1000 * seed + 2 * case + (row == "bow")
+            bow = bow_of(out, seed, own) if row == "bow" else {}
+            effects = [w for k, v in bow.items() for w in ("--effect", f"screen-bow.{k}={v:.6g}")]
+            result = one_case(out / f"{row}-{seed}-{case}", bench, own, effects)
+            line = {"row": row, "seed": seed, "case": case, "megapixels": megapixels, "bow": bow, **result}
+            with table.open("a") as handle:
+                handle.write(json.dumps(line) + "\n")
+            print(json.dumps(line), flush=True)
+
+
+def bow_of(out: Path, seed: int, own: int) -> dict[str, float]:
+    """A bow of ``SIGMAS``, in a direction of its own [1/m]."""
+    lines = (out / f"clean-{seed}.jsonl").read_text().splitlines() if (out / f"clean-{seed}.jsonl").exists() else []
+    limits = [json.loads(line).get("bow_limit") for line in lines]
+    if not limits or not limits[0]:
+        raise SystemExit("run the clean row first: its first case says how large a bow is five sigma")
+    size, angle = SIGMAS / 5.0 * limits[0], np.random.default_rng(own).uniform(0, 2 * np.pi)
+    return {"bow_y": float(size * np.cos(angle)), "bow_z": float(size * np.sin(angle))}
+
+
+def table(files: Sequence[Path]) -> None:
+    """Shares with their 95 % Clopper–Pearson intervals."""
+    lines = [json.loads(line) for f in files for line in f.read_text().splitlines()]
+    for row, right in (("clean", ("nothing-missing", [])), ("bow", ("named", ["screen-bow"]))):
+        own = [r for r in lines if r["row"] == row]
+        if not own:
+            continue
+        good = sum((r.get("verdict"), r.get("effects")) == right for r in own)
+        n = len(own)
+        low = beta.ppf(0.025, good, n - good + 1) if good else 0.0
+        high = beta.ppf(0.975, good + 1, n - good) if good < n else 1.0
+        print(f"{row}: {good} of {n} {right[0]} {' '.join(right[1])} ({100 * low:.0f}–{100 * high:.0f} %)")
+        for r in own:
+            if (r.get("verdict"), r.get("effects")) != right:
+                print(f"  case {r['case']}: {r.get('verdict', r.get('says'))} {r.get('effects', '')}")
+        pulls = [
+            (p["value"] - r["bow"][k]) / p["sigma"]
+            for r in own
+            for k, p in r.get("parameters", {}).get("screen-bow", {}).items()
+            if k in r["bow"]
+        ]
+        if pulls:
+            print(f"  pulls of the bow: {', '.join(f'{p:+.1f}' for p in pulls)}")
+
+
+def walk(out: Path) -> None:
+    """The walk-through's own commands, as its page has them, with their times."""
+    text = (PHONE / "README.md").read_text()
+    commands = re.findall(r"^\$ benchsim (.*)$", text, re.MULTILINE)
+    out.mkdir(parents=True, exist_ok=True)
+    log: list[dict[str, Any]] = []
+    os.chdir(out)
+    for words in commands:
+        parts = words.replace("scenes/phone", str(PHONE)).split()
+        command(log, *parts)
+        if parts[0] == "new":
+            fill(Path(parts[1]) / "recording.toml", PHONE / "bench.toml")
+    cpu, wall = (sum(step[k] for step in log) for k in ("cpu_s", "wall_s"))
+    print(f"{len(commands)} commands, {cpu / 60:.1f} min of CPU, {wall / 60:.1f} min by the clock")
+
+
+def pictures(out: Path) -> None:
+    """The page's pictures: where everything stands, and what the phone sees."""
+    import cv2
+    import matplotlib.pyplot as plt
+
+    from benchsim.bench.files import read
+    from benchsim.bench.place import place, toward_source
+
+    folder = PHONE / "pictures"
+    folder.mkdir(exist_ok=True)
+    names = ("bench/IMG_0001.jpg", "bench/IMG_0002.jpg", f"board/{min((out / 'photos/board').iterdir()).name}")
+    shown = [cv2.resize(cv2.imread(str(out / "photos" / n)), (640, 480), interpolation=cv2.INTER_AREA) for n in names]
+    cv2.imwrite(str(folder / "photographs.jpg"), cv2.hconcat(shown), [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+    bench = read(PHONE / "bench.toml", images=False)
+    camera, e = bench.cameras["phone"], bench.exposures[0]
+    at, half = place(bench.mirror, e), np.array(bench.screen.size) / 2
+    source = toward_source(e.laser_azimuth, e.laser_elevation)
+    mirror, eye = np.array(e.mirror_position), np.array(camera.position)
+    figure, axes = plt.subplots(1, 2, figsize=(11, 5.4), layout="constrained")
+    for ax, j, name in ((axes[0], 2, "from the east: x and z"), (axes[1], 1, "from above: x and y")):
+        laser = mirror + 900 * source
+        ax.plot([0, 0], [-half[j - 1], half[j - 1]], color="black", lw=4, solid_capstyle="butt")
+        ax.plot([laser[0], mirror[0], 0], [laser[j], mirror[j], 0], color="red", lw=1.5)
+        normal = mirror + 250 * at.normal
+        ax.plot([mirror[0], normal[0]], [mirror[j], normal[j]], color="0.5", ls="--", lw=1)
+        ax.plot(*mirror[[0, j]], "o", color="tab:blue", ms=9)
+        ax.plot(*eye[[0, j]], "s", color="tab:green", ms=9)
+        ax.annotate("screen, origin at its centre", (0, half[j - 1]), (40, half[j - 1]), va="center", fontsize=9)
+        for what, point in (
+            (f"mirror, C = {e.mirror_position} mm", mirror), ("phone", eye), ("to the laser", laser)
+        ):  # fmt: skip
+            ax.annotate(what, point[[0, j]], (-10, -4), textcoords="offset points", fontsize=9, ha="right")
+        ax.set(title=name, xlabel="x, toward the mirror (mm)", ylabel=f"{'xyz'[j]} (mm)", aspect="equal")
+        ax.set(xlim=(-100, 1700), ylim=(-1600, 500) if j == 2 else (-1050, 1050))
+        ax.grid(color="0.9")
+    figure.savefig(folder / "bench.png", dpi=90)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    sub = parser.add_subparsers(dest="what", required=True)
+    r = sub.add_parser("run")
+    r.add_argument("--rows", default="clean,bow")
+    r.add_argument("--cases", type=int, default=2)
+    r.add_argument("--seed", type=int, default=6)
+    r.add_argument("--megapixels", type=float, default=12.2)
+    r.add_argument("--out", type=Path, default=Path("out/phone"))
+    t = sub.add_parser("table")
+    t.add_argument("files", type=Path, nargs="+")
+    w = sub.add_parser("walk")
+    w.add_argument("--out", type=Path, default=Path("out/walk"))
+    p = sub.add_parser("pictures")
+    p.add_argument("--out", type=Path, default=Path("out/walk"))
+    a = parser.parse_args()
+    if a.what == "pictures":
+        pictures(a.out)
+    elif a.what == "run":
+        run(a.rows.split(","), a.cases, a.seed, a.megapixels, a.out)
+    elif a.what == "table":
+        table(a.files)
+    else:
+        walk(a.out)
+
+
+if __name__ == "__main__":
+    main()
