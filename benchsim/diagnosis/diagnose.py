@@ -13,7 +13,7 @@ from benchsim.diagnosis.attachments import Attached
 from benchsim.diagnosis.classes import Claim, Space, Weighed
 from benchsim.diagnosis.fits import Effects, Fit, Naming
 from benchsim.diagnosis.following import Alive
-from benchsim.diagnosis.linear import Linear, nuisance_posterior, predict_all, whiten
+from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.location import Explanation
 from benchsim.diagnosis.naming import name
 from benchsim.diagnosis.problem import Problem
@@ -51,6 +51,9 @@ def diagnose(problem: Problem, progress: Progress | None = None) -> Diagnosis:
     tell = progress or (lambda what, done: None)
     return conclude(problem, name(problem, lambda what, done: tell(what, 0.6 * done)), tell)
 
+
+LITTLE = 0.05
+"""Part of a misfit's excess χ² that a location may leave unexplained."""
 
 LOUD = 1.3
 """Errors over stated ones from which on a remark is due."""
@@ -228,8 +231,13 @@ def _place(
         coordinate.setdefault(a.element, a.coordinate)
         white, _ = whiten(problem, covariance, a.basis)
         with_it = attachments.with_columns(attachments.absorb(problem, laid.linear), white @ laid.root)
-        good = remainder.remainder(with_it, modes, laid.scale).acceptable
-        explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, good))
+        nothing = remainder.remainder(with_it, modes, laid.scale).acceptable
+        left = (
+            0.0
+            if nothing
+            else _unexplained(with_it, laid.scale, attachments.absorb(problem, base.linear), base.setting_scale)
+        )
+        explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, left))
     if not rest:
         element = {e.name: e.element for e in problem.catalogue}
         fits = {f.effects: f for f in naming.fits if f.converged}
@@ -238,11 +246,22 @@ def _place(
             if len(of) != 1:
                 continue
             only = of.pop()
-            good = effects in fits and _left(problem, fits[effects], modes).acceptable
-            explanations.append(Explanation(only, coordinate.get(only, ""), value, good))
+            nothing = effects in fits and _left(problem, fits[effects], modes).acceptable
+            explanations.append(Explanation(only, coordinate.get(only, ""), value, 0.0 if nothing else np.inf))
     if findings.stands and not rest and len({e.element for e in problem.catalogue if e.name in on.effects}) > 1:
         return None
     return location.locate(explanations, stretches)
+
+
+def _unexplained(with_it: Linear, scale: float, base: Linear, base_scale: float) -> float:
+    """Half of the excess χ² that a function leaves, if that is little of what there was; else infinity."""
+
+    def excess(lin: Linear, s: float) -> float:
+        m = marginal(lin, np.zeros((len(lin.residual), 0)), s)
+        return m.chi2 - m.n
+
+    before, after = excess(base, base_scale), max(excess(with_it, scale), 0.0)
+    return 0.5 * after if after < LITTLE * before else np.inf
 
 
 def _winner(findings: Findings, place: Location | None) -> Attached | None:

@@ -1,7 +1,8 @@
 """Where: in which element of the path, and along which stretch of which line.
 
 An element is claimed where its best explanation, a free function in the element's own coordinate or names of that
-element alone, beats that of every other element by `CLAIM` in ln Z and leaves nothing (`remainder`). Stretches are
+element alone, beats that of every other element by `CLAIM` in ln Z and leaves nothing (`remainder`); or, where it
+leaves something of a large misfit, as linear functions of finite resolution must, by all that more. Stretches are
 scanned with every window of a line's data as matched filter: z = ⟨w, r⟩ / √⟨w, w⟩ in the space where the nuisances
 are integrated, which is N(0, 1) exactly where nothing is missing; the family-wise rate over all windows is held by
 Bonferroni's bound.
@@ -34,12 +35,21 @@ _SHORTEST = 3
 
 @dataclass(frozen=True)
 class Explanation:
-    """One way to explain the data: the element it belongs to, its coordinate, ln Z, and whether nothing is left."""
+    """One way to explain the data.
+
+    Attributes
+    ----------
+    element, coordinate : str
+    log_evidence : float
+    left : float
+        Largest gain in ln Z that a better function of the same element could still bring: 0 where nothing smooth is
+        left, half of the excess χ² otherwise, infinite where it does not explain most of the misfit.
+    """
 
     element: str
     coordinate: str
     log_evidence: float
-    acceptable: bool
+    left: float
 
 
 def locate(explanations: Sequence[Explanation], stretches: tuple[Stretch, ...] = ()) -> Location | None:
@@ -53,7 +63,7 @@ def locate(explanations: Sequence[Explanation], stretches: tuple[Stretch, ...] =
     best = max(explanations, key=lambda e: e.log_evidence)
     others = [e.log_evidence for e in explanations if e.element != best.element]
     margin = best.log_evidence - max(others) if others else float("inf")
-    claimed = bool(others) and margin > CLAIM and best.acceptable
+    claimed = bool(others) and margin > CLAIM + best.left
     return Location(best.element, best.coordinate, claimed, float(margin), stretches)
 
 

@@ -43,6 +43,9 @@ added is large, and then it is not behind."""
 LONE = 5
 """Refits, the null included, in which single effects are tried first where the null misses the data."""
 
+BORNE_OUT = 1.0
+"""Difference in ln Z up to which a linearisation about a good fit and the refit it foretold check each other."""
+
 AFAR = 10.0
 """By how much noise is enlarged about the stated settings, where a misfit of settings by 2 sigma leaves some sigma of
 curvature."""
@@ -196,7 +199,7 @@ def _search(
             break
         pick = max(left, key=lambda e: table.log_z[e])
         tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * len(done) / refits)
-        solved = _refit(context, catalogue, pick, done[table.source[pick]], done)
+        solved = _refit(context, catalogue, pick, done[table.source[pick]], done, table.log_z[pick])
         done[pick] = solved
         table.log_z[pick] = solved.fit.log_evidence
         if solved.fit.converged:
@@ -249,9 +252,17 @@ def _hypothesis(catalogue: Catalogue, effects: Effects) -> Hypothesis:
 
 
 def _refit(
-    context: Context, catalogue: Catalogue, effects: Effects, source: Solved, done: Mapping[Effects, Solved]
+    context: Context,
+    catalogue: Catalogue,
+    effects: Effects,
+    source: Solved,
+    done: Mapping[Effects, Solved],
+    expected: float,
 ) -> Solved:
-    """Refit a hypothesis from the fit it was weighed about, checked from the stated settings."""
+    """Refit a hypothesis from the fit it was weighed about, checked from the stated settings.
+
+    Where that fit is good and its linearisation foretold (``expected``) what the refit finds, the two check each other.
+    """
     h = _hypothesis(catalogue, effects)
     lin = source.fit.linear
     nodes = _best_nodes(context, catalogue, h, source)
@@ -276,7 +287,10 @@ def _refit(
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
         own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])
     prior = screen.log_prior(effects, list(catalogue.effects))
-    solved = refit.fit(context, h, starts, known, own, prior)
+    sure = bool(own_effects) and source.fit.converged and not refit.misses(context, source)
+    solved = refit.fit(context, h, starts[:1] if sure else starts, known, own, prior)
+    if sure and not (solved.fit.converged and abs(solved.fit.log_evidence - expected) < BORNE_OUT):
+        solved = refit.fit(context, h, starts, known, own, prior)
     unseen = _unseen_shapes(h, solved.fit)
     if unseen:
         # Laplace fails where an amplitude is too small to say where: the sum over the grid stands, about the best fit

@@ -11,12 +11,14 @@ from benchsim.diagnosis.location import FAMILY_WISE, Explanation, locate, scan
 
 
 def test_an_element_is_claimed_over_every_other_one():
-    a, b = Explanation("screen", "z", -10.0, True), Explanation("mirror", "phase", -14.9, True)
+    a, b = Explanation("screen", "z", -10.0, 0.0), Explanation("mirror", "phase", -14.9, 0.0)
     assert not locate([a, b]).claimed
-    far = Explanation("mirror", "phase", -15.1, True)
-    found = locate([a, far, Explanation("screen", "y", -10.5, True)])
+    far = Explanation("mirror", "phase", -15.1, 0.0)
+    found = locate([a, far, Explanation("screen", "y", -10.5, 0.0)])
     assert found.claimed and found.element == "screen" and found.coordinate == "z"
-    assert not locate([Explanation("screen", "z", -10.0, False), far]).claimed
+    assert not locate([Explanation("screen", "z", -10.0, float("inf")), far]).claimed
+    assert not locate([Explanation("screen", "z", -10.0, 0.2), far]).claimed
+    assert locate([Explanation("screen", "z", -9.0, 0.9), far]).claimed
     assert not locate([a]).claimed
     assert locate([]) is None
 
