@@ -9,7 +9,8 @@
 drawn from (seed, case). Photographs are calibrated by `benchsim calibrate` from the views of the board, which bows
 there too, begun by `benchsim new`, filled in as a person would, checked and diagnosed. A bow is 20 sigma large: four
 times the five-sigma limit that the diagnosis of the first clean case states, in a direction drawn per case. Every step
-that is done stays done; a stopped study goes on where it was. ``--megapixels`` takes a smaller phone, for a quick look.
+that is done stays done; a stopped study goes on where it was. ``--megapixels`` takes a smaller phone, for a quick look;
+``--lens drawn`` puts a lens known to ``DRAWN_SIGMA`` in the place of `benchsim calibrate`'s.
 
 `walk`: the commands of ``scenes/phone/README.md`` one after the other, with their times. `pictures`: those of that
 page, from the photographs that `walk` left.
@@ -26,6 +27,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,9 @@ from scipy.stats import beta
 
 PHONE = Path(__file__).resolve().parents[1] / "scenes" / "phone"
 SIGMAS = 20.0
+
+DRAWN_SIGMA = (3e-4, 0.3, 5e-4)
+"""Of a drawn lens: focal length (fraction), principal point (px), k1; a dozen views of 40 marks do as well."""
 
 
 def fill(recording: Path, bench: Path) -> None:
@@ -89,8 +94,33 @@ def command(log: list[dict[str, Any]], *words: str | Path) -> subprocess.Complet
     return done
 
 
-def one_case(folder: Path, bench: Path, seed: int, effects: Sequence[str]) -> dict[str, Any]:
+def draw_lens(bench: Path, seed: int, file: Path) -> None:
+    """``camera.toml`` of the true camera but for a draw of ``DRAWN_SIGMA``."""
+    from benchsim.bench.files import read
+    from benchsim.calibration.record import write_camera
+    from benchsim.calibration.solve import LENS
+    from benchsim.render.phone import draw_truth
+
+    camera = draw_truth(read(bench, images=False), seed)[2]
+    focal, point, k1 = DRAWN_SIGMA
+    off = np.random.default_rng([seed, 1]).standard_normal(4)
+    camera = replace(
+        camera,
+        focal=float(camera.focal * (1 + focal * off[0])),
+        principal_point=tuple(float(c + point * d) for c, d in zip(camera.principal_point, off[1:3], strict=True)),
+        distortion=(float(camera.distortion[0] + k1 * off[3]), *camera.distortion[1:]),
+        gamma="unknown",
+    )
+    size = np.array([camera.focal * focal, point, point, k1, 0.0, 0.0, 0.0, 0.0])
+    assert len(size) == len(LENS)
+    write_camera(file, camera, DRAWN_SIGMA, np.diag(size**2), photographs=12, marks=480, rms=0.1, board="drawn")
+
+
+def one_case(folder: Path, bench: Path, seed: int, effects: Sequence[str], drawn: bool) -> dict[str, Any]:
     """From photographs to the verdict; what lies in the folder already is taken as done."""
+    if drawn and not (folder / "camera.toml").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        draw_lens(bench, seed, folder / "camera.toml")
     times = folder / "times.json"
     log: list[dict[str, Any]] = json.loads(times.read_text()) if times.exists() else []
     folder.mkdir(parents=True, exist_ok=True)
@@ -132,7 +162,7 @@ def one_case(folder: Path, bench: Path, seed: int, effects: Sequence[str]) -> di
     }
 
 
-def run(rows: Sequence[str], cases: int, seed: int, megapixels: float, out: Path) -> None:
+def run(rows: Sequence[str], cases: int, seed: int, megapixels: float, drawn: bool, out: Path) -> None:
     """Every row's cases, clean ones first: they say how large a bow must be."""
     bench = smaller(PHONE / "bench.toml", out / "bench", megapixels)
     for row in sorted(rows, key=lambda r: r != "clean"):
@@ -144,8 +174,9 @@ def run(rows: Sequence[str], cases: int, seed: int, megapixels: float, out: Path
             own = 1000 * seed + 2 * case + (row == "bow")
             bow = bow_of(out, seed, own) if row == "bow" else {}
             effects = [w for k, v in bow.items() for w in ("--effect", f"screen-bow.{k}={v:.6g}")]
-            result = one_case(out / f"{row}-{seed}-{case}", bench, own, effects)
-            line = {"row": row, "seed": seed, "case": case, "megapixels": megapixels, "bow": bow, **result}
+            result = one_case(out / f"{row}-{seed}-{case}", bench, own, effects, drawn)
+            about = {"row": row, "seed": seed, "case": case, "megapixels": megapixels, "drawn_lens": drawn, "bow": bow}
+            line = {**about, **result}
             with table.open("a") as handle:
                 handle.write(json.dumps(line) + "\n")
             print(json.dumps(line), flush=True)
@@ -249,6 +280,7 @@ def main() -> None:
     r.add_argument("--cases", type=int, default=2)
     r.add_argument("--seed", type=int, default=6)
     r.add_argument("--megapixels", type=float, default=12.2)
+    r.add_argument("--lens", choices=("calibrated", "drawn"), default="calibrated")
     r.add_argument("--out", type=Path, default=Path("out/phone"))
     t = sub.add_parser("table")
     t.add_argument("files", type=Path, nargs="+")
@@ -260,7 +292,7 @@ def main() -> None:
     if a.what == "pictures":
         pictures(a.out)
     elif a.what == "run":
-        run(a.rows.split(","), a.cases, a.seed, a.megapixels, a.out)
+        run(a.rows.split(","), a.cases, a.seed, a.megapixels, a.lens == "drawn", a.out)
     elif a.what == "table":
         table(a.files)
     else:

@@ -137,10 +137,9 @@ def photograph_with_phone(
         raise BenchsimError(f"{recording.path.name}: expander: not rendered for a phone; state the beam in [laser]")
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
     stated = next(iter(recording.cameras.values()))
-    laser, camera, errors = recording.laser, stated, (SettingErrors(),) * len(exposures)
+    errors, laser, camera = (SettingErrors(),) * len(exposures), recording.laser, stated
     if setting_errors:
-        errors, laser = draw_errors(recording, streams[0]), draw_laser(recording, streams[0])
-        camera = draw_cameras(recording, streams[0])[stated.name]
+        errors, laser, camera = draw_truth(recording, seed)
     true = replace(recording, laser=laser, cameras={stated.name: camera})
     grain = streams[3] if noise and options.noise else None
     total, bench, board, poses, dark_poses = len(exposures) + phone.views, [], [], [], []
@@ -185,6 +184,13 @@ def photograph_with_phone(
         board.append(name)
     tell("photographed", 1.0)
     return PhoneTruth(tuple(bench), tuple(board), laser, camera, tuple(errors), tuple(poses), tuple(dark_poses))
+
+
+def draw_truth(recording: Recording, seed: int) -> tuple[tuple[SettingErrors, ...], Laser, Camera]:
+    """Setting errors of every exposure, laser and camera as `photograph_with_phone` draws them from a seed."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(4)[0])
+    errors, laser = draw_errors(recording, rng), draw_laser(recording, rng)
+    return errors, laser, next(iter(draw_cameras(recording, rng).values()))
 
 
 def _seen(recording: Recording, camera: Camera, light: ScreenMap | None, where: Placement, pose: Pose) -> Picture:
