@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from benchsim import diagnosis, trace
 from benchsim.bench.errors import BenchsimError
@@ -154,6 +155,7 @@ def diagnose(
     return result
 
 
+@threadpool_limits.wrap(limits=1)  # of thousands of small matrices a second thread of BLAS makes five times the work
 def diagnose_recording(
     recording: Recording,
     folder: Path,
