@@ -13,7 +13,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Marks
 from benchsim.calibration import exif
 from benchsim.calibration.advice import Advice, advise
-from benchsim.calibration.focus import MATTERS_FOCAL, Change, focal, principal_point
+from benchsim.calibration.focus import Change, focal, principal_point, refocused
 from benchsim.calibration.solve import FEWEST_VIEWS, Bundle, solve
 from benchsim.trace.image import read_counts, read_image
 from benchsim.trace.marks import GAMMA_RANGE, MarkObservations, find_marks
@@ -160,16 +160,16 @@ def calibrate(
     bundle = solve(replace(camera, gamma=gamma), found)
     seen = [v.name for v in found]
     moved = focal(bundle)
-    _still(moved, bundle, seen)
+    point = principal_point(bundle)
+    if refocused(moved, point):
+        raise BenchsimError(_how_it_is_known(moved, bundle, seen))
     advice = advise(bundle, marks)
     if advice.sigma["focal length"] > POOR_FOCAL:
         raise BenchsimError(
             f"{seen[0]} and the others: they leave the focal length open by {100 * advice.sigma['focal length']:.0f} "
             f"%; add photographs: {'; '.join(advice.views)}"
         )
-    return Calibration(
-        bundle, tuple(seen), tuple(left_out), marks, moved, principal_point(bundle), advice, tuple(found)
-    )
+    return Calibration(bundle, tuple(seen), tuple(left_out), marks, moved, point, advice, tuple(found))
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -246,10 +246,8 @@ def _tone(bundle: Bundle, views: Sequence[MarkObservations]) -> float:
     return float(np.clip(GUESSED_GAMMA - np.median(bundle.spread / blur) / SPREAD_PER_GAMMA, *GAMMA_RANGE))
 
 
-def _still(moved: Change, bundle: Bundle, names: Sequence[str]) -> None:
-    """Refuse a lens whose focal length changed between the views."""
-    if not moved.seen or moved.amount <= MATTERS_FOCAL:
-        return
+def _how_it_is_known(moved: Change, bundle: Bundle, names: Sequence[str]) -> str:
+    """Why a lens is taken to have changed its focal length between the views, and the mend."""
     own, sigma = bundle.lens[0] * (1 + moved.value[:, 0]), bundle.lens[0] * moved.sigma[:, 0]
     # Of the views that say something of it.
     telling = sigma <= 3 * np.median(sigma)
@@ -268,7 +266,7 @@ def _still(moved: Change, bundle: Bundle, names: Sequence[str]) -> None:
             f"{names[high]}, as zoom or autofocus does"
         )
     chance = f"p = {moved.probability:.0e}" if moved.probability > 1e-300 else "p below 1e-300"
-    raise BenchsimError(
+    return (
         f"{names[high]} and {names[low]}: the focal length is not the same in all pictures: fitted to each view on its "
         f"own, {why} ({chance}); lock focus and zoom, and take the pictures again"
     )

@@ -1,5 +1,4 @@
-"""Did the lens change between the pictures? Autofocus and zoom change its focal length, stabilisation its principal
-point.
+"""Did the lens change between the pictures? Autofocus and zoom change its focal length, stabilisation its axis.
 
 The lens that fits all views is the null hypothesis. The alternative gives every view its own focal length (or principal
 point), all else free as before, the board's shape included, so that a bent board is not taken for a lens that moves.
@@ -27,6 +26,10 @@ MATTERS_FOCAL = 5e-4
 """Changes of the focal length below this fraction are not refused but added to its uncertainty: refocusing from 0.7 m
 to 1.2 m changes that of a phone's main camera by 0.3 %."""
 
+NEARLY = 0.8
+"""Share of the χ² explained by principal points that focal lengths must explain to be believed: of principal points that
+wander at random they explain about a half."""
+
 REWEIGHTED = 3
 
 
@@ -44,6 +47,8 @@ class Change:
     amount : float
         Root mean square of the deviations beyond their errors; of the focal length this, or what the trend with
         distance amounts to between the nearest and the farthest view, whichever is larger.
+    gained : float
+        χ² that the common lens has more.
     trend, trend_sigma : float
         Of the focal length: its change from the farthest view to the nearest, as refocusing has it (∝ 1/distance).
     follows : bool
@@ -54,6 +59,7 @@ class Change:
     sigma: Array
     probability: float
     amount: float
+    gained: float
     trend: float = 0.0
     trend_sigma: float = np.inf
     follows: bool = False
@@ -81,6 +87,7 @@ def focal(bundle: Bundle) -> Change:
         sigma,
         min(1.0, 2 * min(p, p_trend)),
         amount,
+        gained,
         float(trend[0]),
         float(trend_sigma[0]),
         by_trend > 0.5 * gained,
@@ -89,8 +96,17 @@ def focal(bundle: Bundle) -> Change:
 
 def principal_point(bundle: Bundle) -> Change:
     """One principal point for every view."""
-    value, sigma, p, _ = _own(bundle, [bundle.slope[r, 1:3] for r in bundle.rows])
-    return Change(value, sigma, p, _beyond(value, sigma))
+    value, sigma, p, gained = _own(bundle, [bundle.slope[r, 1:3] for r in bundle.rows])
+    return Change(value, sigma, p, _beyond(value, sigma), gained)
+
+
+def refocused(focal: Change, principal_point: Change) -> bool:
+    """Whether it was the focal length that changed, and by so much that it matters.
+
+    One picture of a plane tells two numbers of a lens, so that a principal point of its own explains in each what a focal
+    length of its own does: it is believed where the focal lengths, half as many, do not explain nearly as much.
+    """
+    return focal.seen and focal.amount > MATTERS_FOCAL and focal.gained > NEARLY * principal_point.gained
 
 
 def _column(x: Array) -> Array:
@@ -110,16 +126,16 @@ def _beyond(value: Array, sigma: Array) -> float:
 
 
 def _gain(bundle: Bundle, columns: Array) -> tuple[Array, Array, float, float]:
-    """Size and 1 σ of further parameters, the probability of the χ² they gain, and that; ``columns`` lacks the priors'
-    rows.
+    """Size and 1 σ of further parameters, the probability of the χ² they gain, and that χ².
 
-    The scale of every view's noise is what is left of its residuals after the further parameters: before, it may be
-    inflated by the very change that is looked for.
-    """
+    ``columns`` are their derivatives without the priors' rows; ``besides`` are those of parameters that are free in
+    both cases. The scale of every view's noise is what is left of its residuals after all of them: before, it may be
+    inflated by the very change that is looked for."""
     further = np.concatenate([columns, np.zeros((len(bundle.misfit) - len(columns), columns.shape[1]))])
+    slope = bundle.slope / np.linalg.norm(bundle.slope, axis=0)
     weight = np.ones(len(bundle.misfit))
     for _ in range(REWEIGHTED):
-        base = np.linalg.qr(bundle.slope / np.linalg.norm(bundle.slope, axis=0) * weight[:, None])[0]
+        base = np.linalg.qr(slope * weight[:, None])[0]
         f = further * weight[:, None]
         r = bundle.misfit * weight
         f, r = f - base @ (base.T @ f), r - base @ (base.T @ r)

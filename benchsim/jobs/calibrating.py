@@ -95,7 +95,8 @@ class CalibrateResult:
     def _lens_notes(self) -> list[str]:
         c = self.calibration
         moved, point = c.focal, c.principal_point
-        if not moved.seen:
+        # Of a principal point that moves the focal lengths explain a part.
+        if not moved.seen or point.seen:
             typical = 100 * float(np.median(moved.sigma))
             out = [
                 f"the same focal length in all pictures (p = {moved.probability:.2g}; one view alone gives it within "

@@ -2,9 +2,11 @@
 
 import json
 import re
+import sys
 import tomllib
 
 import cv2
+import lens_sets as sets
 import numpy as np
 import pytest
 from PIL import Image
@@ -17,6 +19,8 @@ from benchsim.bench.writing import write_marks
 from benchsim.board import lay_out
 from benchsim.calibration import read_camera
 from benchsim.calibration.exif import changed, lens_tags
+
+pipeline = sys.modules["benchsim.calibration.calibrate"]  # the function of the package has the module's name
 
 SIZE, FOCAL, POINT = (840, 640), 700.0, (428.0, 314.0)
 BOARD, SIDE, PITCH, FINE = (400.0, 300.0), 28.0, 0.5, 3
@@ -189,3 +193,42 @@ def test_a_damaged_camera_file_is_refused(result, tmp_path, change, says):
     path.write_text(result.file.read_text().replace(*change, 1))
     with pytest.raises(BenchsimError, match=rf"camera\.toml: .*{says}"):
         read_camera(path)
+
+
+@pytest.fixture
+def told(monkeypatch, tmp_path):
+    """`calibrate` of views whose marks were found beforehand: the pictures themselves are black."""
+
+    def run(views, **options):
+        paths = [tmp_path / f"{k:02d}.jpg" for k in range(len(views))]
+        for path in paths:
+            cv2.imwrite(str(path), np.zeros(sets.SIZE[::-1], np.uint8))
+        found = {path: view for path, view in zip(paths, views, strict=True)}
+        monkeypatch.setattr(pipeline, "_find", lambda path, name, camera, marks: found[path])
+        return pipeline.calibrate(paths, sets.board(), **options)
+
+    return run
+
+
+def test_autofocus_that_breathes_is_refused_and_says_how_it_is_known(told):
+    rng = np.random.default_rng(21)
+    poses = sets.poses(rng)
+    with pytest.raises(BenchsimError, match=r"follows the distance, \+0\.\d+ ± .* autofocus .*lock focus"):
+        told(sets.views(rng, poses, focal=1 + 0.006 * 700 / poses[:, 5]))
+
+
+def test_a_lens_that_moves_a_little_is_less_certain_not_refused(told):
+    """0.02 % of zoom and 2 px of stabilisation: seen, and part of what the file says is uncertain."""
+    rng = np.random.default_rng(22)
+    own, point = 1 + 2e-4 * rng.standard_normal(8), rng.normal(0, 2.0, (8, 2))
+    found = told(sets.views(rng, sets.poses(rng), focal=own, point=point, noise=0.005))
+    assert found.principal_point.seen
+    focal, centre, _ = found.intrinsics_sigma
+    assert centre == pytest.approx(2.0, rel=0.5)
+    assert focal > found.bundle.sigma[0] / found.bundle.lens[0] or not found.focal.seen
+
+
+def test_views_that_leave_the_focal_length_open_are_refused_with_those_that_would_not(told):
+    rng = np.random.default_rng(23)
+    with pytest.raises(BenchsimError, match=r"open by \d+ %; add photographs: from .*40° off the board's normal"):
+        told(sets.views(rng, sets.poses(rng, 4, tilt=(0, 0.5)), noise=0.3))
