@@ -20,7 +20,7 @@ from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.linear import Linear
-from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.refit import Context, Hypothesis, Known, Point, Solved
 from benchsim.diagnosis.screen import Catalogue
 
@@ -49,6 +49,9 @@ BORNE_OUT = 1.0
 AFAR = 10.0
 """By how much noise is enlarged about the stated settings, where a misfit of settings by 2 sigma leaves some sigma of
 curvature."""
+
+PLACES = 40
+"""Shapes that are tried about a node, and again about the best of them."""
 
 LARGEST = 4
 """Effects in one hypothesis."""
@@ -274,8 +277,10 @@ def _refit(
         for e, i in zip(h.effects, node, strict=True):
             keep = e.name in own_effects and first == 0
             amplitude += [linear.fit_value(p, at.get(p.name, 0.0)) if keep else 0.0 for p in evidence.amplitudes(e)]
-            place = catalogue.nodes[e.name][i].shape
-            shape += [at[p.name] if keep else place[p.name] for p in evidence.shapes(e)]
+            place = (
+                at if keep or not evidence.shapes(e) else _placed(context, e, catalogue.nodes[e.name][i].shape, source)
+            )
+            shape += [place[p.name] for p in evidence.shapes(e)]
         nuisance = source.point.nuisance if first == 0 else np.zeros(lin.nuisance.shape[1])
         starts.append(Point(nuisance, np.array(amplitude), np.array(shape)))
     known, own, p = _nearest(effects, done), None, lin.nuisance.shape[1]
@@ -299,6 +304,36 @@ def _refit(
         summed = _log_z_about(context, catalogue, context.whiten(catalogue.columns), rest, [effects])[effects]
         solved = replace(solved, fit=replace(solved.fit, log_evidence=summed, converged=rest.fit.converged))
     return solved
+
+
+def _placed(context: Context, effect: Effect, node: Mapping[str, float], source: Solved) -> dict[str, float]:
+    """Shapes near a node at which the effect explains the residual of a fit best, to first order.
+
+    A fit descends from there into the nearest peak, and a grid is too coarse to say which is the highest.
+    """
+    own, shapes = evidence.amplitudes(effect), evidence.shapes(effect)
+    at = {**source.fit.values, **evidence.fixed(effect)}
+    lin, scale = source.fit.linear, source.fit.setting_scale
+    prior = np.diag([a.sigma ** (-2.0 * a.power) for a in own])
+    # A fixed seed: the same data give the same diagnosis.
+    rng = np.random.default_rng(0)
+    best, gain = {p.name: node[p.name] for p in shapes}, -np.inf
+    reach = {p.name: (max(p.grid) - min(p.grid)) / max(len(p.grid) - 1, 1) for p in shapes}
+    for shrink in (1.0, 0.4):
+        tried = [best]
+        for _ in range(PLACES):
+            moved = {p.name: best[p.name] + shrink * reach[p.name] * rng.uniform(-1, 1) for p in shapes}
+            tried.append({p.name: float(np.clip(moved[p.name], min(p.grid), max(p.grid))) for p in shapes})
+        found = linear.columns_at(context.problem, [({**at, **t}, own) for t in tried])
+        white = context.whiten(np.column_stack(found))
+        m = linear.marginal(lin, white, scale)
+        for i, t in enumerate(tried):
+            mine = slice(i * len(own), (i + 1) * len(own))
+            inner, u = m.gram[mine, mine] + prior, m.projection[mine]
+            now = 0.5 * float(u @ np.linalg.solve(inner, u)) - 0.5 * float(np.linalg.slogdet(inner)[1])
+            if now > gain:
+                best, gain = t, now
+    return best
 
 
 def _unseen_shapes(h: Hypothesis, fit: Fit) -> set[str]:

@@ -284,7 +284,7 @@ def _pixel(blocks: Sequence[Local]) -> Attachment:
         for b in blocks
     ]
     lengths = (0.8 * spacing, 2 * spacing, 5 * spacing)
-    return _joined("camera.pixel", "place in the picture", "px", axes, 2, 1.0, lengths, parts)
+    return _joined("camera.pixel", "place in the picture", "px", axes, 2, 3.0, lengths, parts)
 
 
 def _row(blocks: Sequence[Local]) -> Attachment:
@@ -299,7 +299,7 @@ def _row(blocks: Sequence[Local]) -> Attachment:
         for b in blocks
     ]
     lengths = (height / 16, height / 8, height / 4)
-    return _joined("camera.row.pixel", "image row", "px", axes, 2, 1.5, lengths, parts)
+    return _joined("camera.row.pixel", "image row", "px", axes, 2, 3.0, lengths, parts)
 
 
 def _brightness(blocks: Sequence[Local]) -> Attachment:
@@ -333,7 +333,7 @@ def _height(blocks: Sequence[Local]) -> Attachment:
                 along(b, b.board, b.corners_board),
             )
         )
-    return _joined("screen.height", "place on the board", "mm", axes, 1, 1.0, _BOARD_LENGTHS, parts)
+    return _joined("screen.height", "place on the board", "mm", axes, 1, 4.0, _BOARD_LENGTHS, parts)
 
 
 def _shift(blocks: Sequence[Local]) -> Attachment:
@@ -342,7 +342,7 @@ def _shift(blocks: Sequence[Local]) -> Attachment:
     for b in blocks:
         moved = np.einsum("nij,nkj->nki", b.corners_by_board, both(tents(axes, *b.corners_board.T)))
         parts.append((push(b, corners=moved), along(b, b.board, b.corners_board)))
-    return _joined("screen.shift", "place on the board", "mm", axes, 2, 0.5, _BOARD_LENGTHS, parts)
+    return _joined("screen.shift", "place on the board", "mm", axes, 2, 2.0, _BOARD_LENGTHS, parts)
 
 
 def _differences(predict: Predict, names: Sequence[tuple[int, str]], step: float) -> list[Array]:
@@ -362,7 +362,7 @@ def _lean(predict: Predict, blocks: Sequence[Local]) -> Attachment:
         rows = np.zeros((size(b.block), len(axes[0])))
         rows[: len(d)] = by_lean[: len(d), None] * tents(axes, d, np.zeros(len(d)))
         parts.append((rows, along(b, np.stack([d, np.zeros(len(d))], axis=1))))
-    return _joined("mirror.lean", "phase of the mirror", "mrad", axes, 1, 1.0, (0.75, 2.0, 6.0), parts)
+    return _joined("mirror.lean", "phase of the mirror", "mrad", axes, 1, 3.0, (0.75, 2.0, 6.0), parts)
 
 
 def _facet(predict: Predict, blocks: Sequence[Local]) -> Attachment:
