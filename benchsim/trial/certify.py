@@ -65,8 +65,8 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether no test fails at the false-alarm rate of the whole."""
-        return all(t.p_value >= FALSE_ALARM / len(self.tests) for t in self.tests)
+        """Whether the counts are two, and no test fails at the false-alarm rate of the whole."""
+        return self.rays[1] >= 2 * self.rays[0] and all(t.p_value >= FALSE_ALARM / len(self.tests) for t in self.tests)
 
     def plain(self) -> dict[str, Any]:
         """For files."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,10 +24,17 @@ Each = Callable[[Callable[..., Any], Sequence[tuple[Any, ...]]], Iterator[tuple[
 def here(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
     """`Each` in this process, one after the other."""
     for k, task in enumerate(tasks):
-        try:
-            yield k, function(*task)
-        except Exception as error:  # a trial goes on; the case says what ended it
-            yield k, error
+        yield k, _ended(function, *task)
+
+
+def _ended(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Result, or the exception that ended it with a note on where: a trial goes on, and Dask need not print it."""
+    try:
+        return function(*arguments)
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)[-3:]
+        error.add_note(" < ".join(f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in reversed(frames)))
+        return error.with_traceback(None)
 
 
 @contextmanager
@@ -108,14 +116,8 @@ def cluster(scheduler: str | None = None, workers: int | None = None, timeout: f
 
 
 def _quiet(function: Callable[..., Any], *arguments: Any) -> Any:
-    """One thread for OpenCV too: the others are set by Dask for the processes that it starts.
-
-    What ends a case is a result, which Dask need not print.
-    """
+    """One thread for OpenCV too: the others are set by Dask for the processes that it starts."""
     import cv2
 
     cv2.setNumThreads(1)
-    try:
-        return function(*arguments)
-    except Exception as error:
-        return error
+    return _ended(function, *arguments)

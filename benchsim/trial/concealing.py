@@ -107,7 +107,8 @@ def conceal(
             name = names[todo[index] - 1]
             progress(f"concealed {len(names) - len(todo) + done} of {len(names)}", done / len(todo))
             if isinstance(result, BaseException):
-                failed.append(f"case {name}: {type(result).__name__}: {result}")
+                where = " ".join(getattr(result, "__notes__", []))
+                failed.append(f"case {name}: {type(result).__name__}: {result} ({where})")
                 continue
             salt = derived(plan.seed, name, "salt").hex()
             write_text(truth / f"{name}.json", canonical({"salt": salt, "truth": result}).decode() + "\n")

@@ -182,7 +182,8 @@ def _one(do: Diagnose, recording: Path, target: Path, withheld: tuple[str, ...])
 def _failed(folder: Path, error: BaseException) -> None:
     """Say in the place of a verdict why there is none."""
     folder.mkdir(exist_ok=True)
-    write_text(folder / "failed.json", canonical({"error": f"{type(error).__name__}: {error}"}).decode() + "\n")
+    said = {"error": f"{type(error).__name__}: {error}", "where": list(getattr(error, "__notes__", []))}
+    write_text(folder / "failed.json", canonical(said).decode() + "\n")
 
 
 def diagnose_recording(recording: Path, folder: Path, target: Path, withheld: Sequence[str]) -> None:
