@@ -26,9 +26,13 @@ MATTERS_FOCAL = 5e-4
 """Changes of the focal length below this fraction are not refused but added to its uncertainty: refocusing from 0.7 m
 to 1.2 m changes that of a phone's main camera by 0.3 %."""
 
+MATTERS_POINT = 5e-4
+"""Nor is stabilisation spoken of where the principal point moves by less than this, in units of the picture's longer
+side: sharpening and uneven light do as much."""
+
 NEARLY = 0.8
-"""Share of the χ² explained by principal points that focal lengths must explain to be believed: of principal points that
-wander at random they explain about a half."""
+"""Share of the χ² explained by principal points that focal lengths must explain to be believed: of principal points
+that wander at random they explain about a half."""
 
 REWEIGHTED = 3
 
@@ -103,8 +107,8 @@ def principal_point(bundle: Bundle) -> Change:
 def refocused(focal: Change, principal_point: Change) -> bool:
     """Whether it was the focal length that changed, and by so much that it matters.
 
-    One picture of a plane tells two numbers of a lens, so that a principal point of its own explains in each what a focal
-    length of its own does: it is believed where the focal lengths, half as many, do not explain nearly as much.
+    One picture of a plane tells two numbers of a lens, so that a principal point of its own explains in each what a
+    focal length of its own does: it is believed where the focal lengths, half as many, do not explain nearly as much.
     """
     return focal.seen and focal.amount > MATTERS_FOCAL and focal.gained > NEARLY * principal_point.gained
 
@@ -128,9 +132,9 @@ def _beyond(value: Array, sigma: Array) -> float:
 def _gain(bundle: Bundle, columns: Array) -> tuple[Array, Array, float, float]:
     """Size and 1 σ of further parameters, the probability of the χ² they gain, and that χ².
 
-    ``columns`` are their derivatives without the priors' rows; ``besides`` are those of parameters that are free in
-    both cases. The scale of every view's noise is what is left of its residuals after all of them: before, it may be
-    inflated by the very change that is looked for."""
+    ``columns`` are their derivatives without the priors' rows. The scale of every view's noise is what is left of its
+    residuals after them: before, it may be inflated by the very change that is looked for.
+    """
     further = np.concatenate([columns, np.zeros((len(bundle.misfit) - len(columns), columns.shape[1]))])
     slope = bundle.slope / np.linalg.norm(bundle.slope, axis=0)
     weight = np.ones(len(bundle.misfit))

@@ -13,6 +13,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.marks import read_marks
 from benchsim.calibration import BOARD, LENS, TARGETS, Calibration, is_camera, pictures, sight, write_camera
 from benchsim.calibration import calibrate as solve
+from benchsim.calibration.focus import MATTERS_POINT
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import workers
 
@@ -95,8 +96,9 @@ class CalibrateResult:
     def _lens_notes(self) -> list[str]:
         c = self.calibration
         moved, point = c.focal, c.principal_point
+        wanders = point.seen and point.amount > MATTERS_POINT * max(c.camera.resolution)
         # Of a principal point that moves the focal lengths explain a part.
-        if not moved.seen or point.seen:
+        if not moved.seen or wanders:
             typical = 100 * float(np.median(moved.sigma))
             out = [
                 f"the same focal length in all pictures (p = {moved.probability:.2g}; one view alone gives it within "
@@ -107,7 +109,7 @@ class CalibrateResult:
                 f"the focal length changes between the pictures by {100 * moved.amount:.2g} % "
                 f"(p = {moved.probability:.0e}): little, and added to its uncertainty"
             ]
-        if point.seen:
+        if wanders:
             out.append(
                 f"the principal point moves between the pictures by {point.amount:.2g} px "
                 f"(p = {point.probability:.0e}), as stabilisation does: switch it off; added to its uncertainty"
