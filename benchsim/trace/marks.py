@@ -41,6 +41,9 @@ COARSE_SIGMA = 1.5
 GAMMA_RANGE = (0.4, 3.0)
 """Where an unknown gamma is looked for, over what the picture was read with: 1 is that, 2.2 a display's."""
 
+CURVED_RANGE = (0.7, 1.4)
+"""The same where a curve was taken back already: sharpening makes edges lopsided too, and no power may stand for it."""
+
 GUESS_MARKS = 8
 """Marks by which an unknown gamma is judged."""
 
@@ -290,7 +293,8 @@ def _guess_gamma(photograph: Photograph, camera: Camera, edges: Edges, coarse: A
         fit = fit_edges(light, photograph.marks_saturated[window], moved, part, gamma**2 * quantum)
         return float(np.median(np.where(fit.used >= 0.5, fit.scatter, 1.0)))
 
-    return float(minimize_scalar(roughness, bounds=GAMMA_RANGE, method="bounded", options={"xatol": 0.03}).x)
+    bounds = CURVED_RANGE if photograph.light_per_count.ndim else GAMMA_RANGE
+    return float(minimize_scalar(roughness, bounds=bounds, method="bounded", options={"xatol": 0.03}).x)
 
 
 def _good_edges(fit: EdgeFit) -> NDArray[np.bool_]:
