@@ -8,8 +8,7 @@ B L and u = Lᵀ Bᵀ M⁻¹ r, its gain in ln Z over the hypothesis it is laid 
 
 one tridiagonal form for all amplitudes. The rms a is integrated with a uniform prior up to the attachment's
 ``sigma``: a prior uniform in ln a would spare the function the price that a named amplitude pays for its cap, and
-every true name would lose to its own element's function. The length is integrated over the attachment's list
-and one more that makes the function nearly straight. An
+every true name would lose to its own element's function. The length is integrated over the attachment's list. An
 attachment is present with the prior probability of one catalogue effect, shared among all attachments.
 
 Not to be used where the prediction bends over the size of what is sought: the basis is taken at one point.
@@ -36,9 +35,6 @@ PRESENCE = 0.02
 
 VISIBLE = 1e-6
 """Directions whose signal at the largest plausible rms has a variance below this, in that of the noise, are dropped."""
-
-AFFINE = 4.0
-"""Extents of the knots that a last length spans, for functions that are nearly straight: a scale, a shear."""
 
 _STEPS = 21
 _ROUNDS = 3
@@ -104,7 +100,7 @@ def prepare(problem: Problem, covariance: tuple[Array, ...]) -> tuple[Prepared, 
 
 def _prepare(attachment: Attachment, white: Array) -> Prepared:
     roots, columns, squares = [], [], []
-    for length in lengths(attachment):
+    for length in attachment.lengths:
         root = kernel_root(attachment, length)
         seen = white @ root
         variance, turn = np.linalg.eigh(seen.T @ seen)
@@ -137,28 +133,14 @@ def whitened(
     return tuple(out)
 
 
-def extent(attachment: Attachment) -> float:
-    """Largest side of the box that holds the knots."""
-    return float(np.ptp(attachment.knots, axis=0).max())
-
-
-def lengths(attachment: Attachment) -> tuple[float, ...]:
-    """The attachment's own, and one that makes the function nearly straight."""
-    return (*attachment.lengths, AFFINE * extent(attachment))
-
-
 def kernel_root(attachment: Attachment, length: float, tolerance: float = 1e-7) -> Array:
-    """L with L Lᵀ = R(ℓ), (K, m); directions of variance below ``tolerance`` of the largest are dropped.
-
-    Beyond the extent of the knots a longer length means a straighter function, not a flatter one: R grows with its
-    square there.
-    """
+    """L with L Lᵀ = R(ℓ), (K, m); directions of variance below ``tolerance`` of the largest are dropped."""
     distance2 = ((attachment.knots[:, None, :] - attachment.knots[None, :, :]) ** 2).sum(axis=2)
     same = attachment.component[:, None] == attachment.component[None, :]
     values, vectors = np.linalg.eigh(np.exp(-0.5 * distance2 / length**2) * same)
     keep = values > tolerance * values[-1]
     root: Array = vectors[:, keep] * np.sqrt(values[keep])
-    return root * max(1.0, length / max(extent(attachment), 1e-300))
+    return root
 
 
 def amplitudes(problem: Problem, names: tuple[str, ...]) -> tuple[Parameter, ...]:
@@ -333,7 +315,7 @@ def _one(prepared: Prepared, ground: _Ground) -> Attached:
     of, j = divmod(int(i), len(ground.scale))
     root = prepared.roots[of]
     mean = np.linalg.solve(np.eye(root.shape[1]) / rms[k] ** 2 + grams[i], projections[i])
-    length, scale = lengths(attachment)[of], float(ground.scale[j])
+    length, scale = attachment.lengths[of], float(ground.scale[j])
     return Attached(attachment, total, float(rms[k]), length, scale, root @ mean, root * rms[k], ground.plain)
 
 

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from benchsim.diagnosis import curvature, evidence, linear, noise, refit, screen, settings
+from benchsim.diagnosis import curvature, evidence, linear, noise, refit, screen, settings, starts
 from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.linear import Linear
-from benchsim.diagnosis.problem import Effect, Problem
+from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.refit import Context, Hypothesis, Known, Point, Solved
 from benchsim.diagnosis.screen import Catalogue
 
@@ -45,13 +45,6 @@ LONE = 5
 
 BORNE_OUT = 1.0
 """Difference in ln Z up to which a linearisation about a good fit and the refit it foretold check each other."""
-
-AFAR = 10.0
-"""By how much noise is enlarged about the stated settings, where a misfit of settings by 2 sigma leaves some sigma of
-curvature."""
-
-PLACES = 40
-"""Shapes that are tried about a node, and again about the best of them."""
 
 LARGEST = 4
 """Effects in one hypothesis."""
@@ -217,7 +210,7 @@ def _search(
 
 
 def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_z: dict[Effects, float]) -> None:
-    """Weigh about the stated settings too, with noise `AFAR` times larger.
+    """Weigh about the stated settings too, with noise `starts.AFAR` times larger.
 
     Where the null misses the data its settings are bent to where no linearisation holds. About the stated ones the
     errors of linearisation are some sigma, which such noise covers: what stands out of it is found however far the null
@@ -227,12 +220,12 @@ def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_
     if about is None:
         return
     residual = problem.data - np.concatenate(about.plain)
-    columns = context.whiten(np.column_stack([residual, about.first])) / AFAR
+    columns = context.whiten(np.column_stack([residual, about.first])) / starts.AFAR
     scaled = np.array([n.scaled for n in problem.nuisances], bool)
     p = columns.shape[1]
     empty = np.zeros((len(residual), 0))
     lin = Linear(columns[:, 0], columns[:, 1:p], scaled, empty, (), problem.block, 0.0)
-    far = screen.screen(lin, catalogue, white / AFAR, context.scales, context.weights)
+    far = screen.screen(lin, catalogue, white / starts.AFAR, context.scales, context.weights)
     for effects, z in far.items():
         log_z[effects] = max(log_z[effects], log_z[()] + z - far[()])
 
@@ -268,34 +261,41 @@ def _refit(
     """
     h = _hypothesis(catalogue, effects)
     lin = source.fit.linear
-    nodes = _best_nodes(context, catalogue, h, source)
+    nodes = starts.best_nodes(context, catalogue, h, source)
     at = source.fit.values
     own_effects = source.fit.effects
-    starts = []
+    points: list[Point] = []
     for first, node in enumerate(nodes):
-        amplitude, shape = [], []
+        amplitude: list[float] = []
+        shape: list[float] = []
         for e, i in zip(h.effects, node, strict=True):
-            keep = e.name in own_effects and first == 0
-            amplitude += [linear.fit_value(p, at.get(p.name, 0.0)) if keep else 0.0 for p in evidence.amplitudes(e)]
-            place = (
-                at if keep or not evidence.shapes(e) else _placed(context, e, catalogue.nodes[e.name][i].shape, source)
-            )
+            own_amplitudes = evidence.amplitudes(e)
+            if e.name in own_effects and first == 0:
+                size, place = [linear.fit_value(p, at.get(p.name, 0.0)) for p in own_amplitudes], dict(at)
+            elif evidence.shapes(e):
+                size, place = starts.placed(context, e, catalogue.nodes[e.name][i].shape, source)
+            else:
+                size, place = [0.0] * len(own_amplitudes), {}
+            amplitude += size
             shape += [place[p.name] for p in evidence.shapes(e)]
         nuisance = source.point.nuisance if first == 0 else np.zeros(lin.nuisance.shape[1])
-        starts.append(Point(nuisance, np.array(amplitude), np.array(shape)))
-    known, own, p = _nearest(effects, done), None, lin.nuisance.shape[1]
+        points.append(Point(nuisance, np.array(amplitude), np.array(shape)))
+    known, own, p, hold = _nearest(effects, done), None, lin.nuisance.shape[1], False
     if refit.misses(context, source):
         # Nuisances that were bent to hide an effect are further from the truth than as stated.
-        starts = [replace(starts[0], nuisance=np.zeros(p))]
+        plain = replace(points[0], nuisance=np.zeros(p))
+        begun = replace(plain, amplitude=starts.scanned(context, h, source, plain.amplitude))
+        hold = not np.array_equal(begun.amplitude, plain.amplitude)
+        points = [begun, plain] if hold else [plain]
         known = known if context.curvature is None else Known(context.curvature.first, np.zeros(p))
     elif not own_effects:
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
         own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])
     prior = screen.log_prior(effects, list(catalogue.effects))
     sure = bool(own_effects) and source.fit.converged and not refit.misses(context, source)
-    solved = refit.fit(context, h, starts[:1] if sure else starts, known, own, prior)
+    solved = refit.fit(context, h, points[:1] if sure else points, known, own, prior, hold=hold)
     if sure and not (solved.fit.converged and abs(solved.fit.log_evidence - expected) < BORNE_OUT):
-        solved = refit.fit(context, h, starts, known, own, prior)
+        solved = refit.fit(context, h, points, known, own, prior)
     unseen = _unseen_shapes(h, solved.fit)
     if unseen:
         # Laplace fails where an amplitude is too small to say where: the sum over the grid stands, about the best fit
@@ -306,36 +306,6 @@ def _refit(
     return solved
 
 
-def _placed(context: Context, effect: Effect, node: Mapping[str, float], source: Solved) -> dict[str, float]:
-    """Shapes near a node at which the effect explains the residual of a fit best, to first order.
-
-    A fit descends from there into the nearest peak, and a grid is too coarse to say which is the highest.
-    """
-    own, shapes = evidence.amplitudes(effect), evidence.shapes(effect)
-    at = {**source.fit.values, **evidence.fixed(effect)}
-    lin, scale = source.fit.linear, source.fit.setting_scale
-    prior = np.diag([a.sigma ** (-2.0 * a.power) for a in own])
-    # A fixed seed: the same data give the same diagnosis.
-    rng = np.random.default_rng(0)
-    best, gain = {p.name: node[p.name] for p in shapes}, -np.inf
-    reach = {p.name: (max(p.grid) - min(p.grid)) / max(len(p.grid) - 1, 1) for p in shapes}
-    for shrink in (1.0, 0.4):
-        tried = [best]
-        for _ in range(PLACES):
-            moved = {p.name: best[p.name] + shrink * reach[p.name] * rng.uniform(-1, 1) for p in shapes}
-            tried.append({p.name: float(np.clip(moved[p.name], min(p.grid), max(p.grid))) for p in shapes})
-        found = linear.columns_at(context.problem, [({**at, **t}, own) for t in tried])
-        white = context.whiten(np.column_stack(found))
-        m = linear.marginal(lin, white, scale)
-        for i, t in enumerate(tried):
-            mine = slice(i * len(own), (i + 1) * len(own))
-            inner, u = m.gram[mine, mine] + prior, m.projection[mine]
-            now = 0.5 * float(u @ np.linalg.solve(inner, u)) - 0.5 * float(np.linalg.slogdet(inner)[1])
-            if now > gain:
-                best, gain = t, now
-    return best
-
-
 def _unseen_shapes(h: Hypothesis, fit: Fit) -> set[str]:
     """Effects with shapes whose amplitudes all stay below four sigma."""
     return {
@@ -343,28 +313,6 @@ def _unseen_shapes(h: Hypothesis, fit: Fit) -> set[str]:
         for e in h.effects
         if evidence.shapes(e) and all(abs(fit.values[p.name]) < 4 * fit.sigma[p.name] for p in evidence.amplitudes(e))
     }
-
-
-def _best_nodes(context: Context, catalogue: Catalogue, h: Hypothesis, source: Solved) -> list[tuple[int, ...]]:
-    """Grid nodes to start from: the most probable, then the next best that differs (or the same)."""
-    if not h.shapes:
-        only = tuple(0 for _ in h.effects)
-        return [only, only]
-    new = [e for e in h.effects if e.name not in source.fit.effects]
-    terms = screen.hypothesis_terms(catalogue, tuple(e.name for e in new), {})
-    many = settings.marginals(source.fit.linear, context.whiten(catalogue.columns), context.scales)
-    gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
-    log_z = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
-    log_z = logsumexp(log_z + settings.log_null(many, context.weights)[:, None], axis=0)
-    ranked: list[tuple[int, ...]] = []
-    for i in np.argsort(-log_z):
-        if terms[i].node not in ranked:
-            ranked.append(terms[i].node)
-        if len(ranked) == 2:
-            break
-    ranked = [*ranked, ranked[0]][:2]
-    place = {e.name: j for j, e in enumerate(new)}
-    return [tuple(node[place[e.name]] if e.name in place else 0 for e in h.effects) for node in ranked]
 
 
 def _log_z_about(
@@ -450,7 +398,7 @@ def _whole(context: Context, catalogue: Catalogue, null: Solved) -> Linear:
     columns: list[int] = []
     for effect in context.problem.catalogue:
         h = Hypothesis((effect,))
-        node = catalogue.nodes[effect.name][_best_nodes(context, catalogue, h, null)[0][0]]
+        node = catalogue.nodes[effect.name][starts.best_nodes(context, catalogue, h, null)[0][0]]
         names += [p.name for p in evidence.amplitudes(effect)]
         columns += node.columns
     white = context.whiten(catalogue.columns[:, columns])

@@ -17,7 +17,7 @@ prior enters as a Gaussian of the same height, range/√(2π) wide.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -487,6 +487,16 @@ def _own_carried(model: _Model, own: Array, step: Array, columns_at: Columns, th
     return out, False
 
 
+def _held(context: Context, h: Hypothesis, prior: _Prior, state: _State, known: Known) -> _State:
+    """Where the nuisances descend to while amplitudes and shapes stay."""
+    p = len(context.problem.nuisances)
+    nothing = np.zeros((len(state.residual), len(state.theta) - p))
+    loose = np.arange(len(state.theta)) >= p
+    free = replace(prior, precision=np.where(loose, 0.0, prior.precision), slope=np.where(loose, 0.0, prior.slope))
+    start = replace(state, cost=_cost(context, h, free, state.theta)[0])
+    return _descend(context, h, free, start, known, nothing, lambda theta: nothing)[0]
+
+
 def _begin(context: Context, h: Hypothesis, prior: _Prior, point: Point) -> _State:
     theta = _theta(point)
     cost, residual = _cost(context, h, prior, theta)
@@ -615,6 +625,7 @@ def fit(
     own: Array | None = None,
     log_prior: float = 0.0,
     rounds: int | None = None,
+    hold: bool = False,
 ) -> Solved:
     """Fit a hypothesis.
 
@@ -632,6 +643,9 @@ def fit(
         Of the presence of its effects.
     rounds : int, optional
         Most descents; default `ROUNDS`.
+    hold : bool
+        Whether a descent of the nuisances alone comes first. Amplitudes that start in the right valley would otherwise
+        leave it while the noise is taken large for the sake of settings that are still far off.
 
     Returns
     -------
@@ -659,6 +673,9 @@ def fit(
     hyper = (0, chosen(theta, residual, known, own)[1])
     prior = _prior(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
     state = _begin(context, h, prior, starts[0])
+    if hold:
+        state = _begin(context, h, prior, _point(_held(context, h, prior, state, known).theta, p, k))
+        own = columns_at(state.theta)
     converged, checked = False, 0
     for turn in range(rounds or ROUNDS):
         state, own = _descend(context, h, prior, state, known, own, columns_at)

@@ -1,0 +1,128 @@
+"""Where the fit of a hypothesis begins.
+
+A descent ends in the valley that it starts in. What fits grow from is the fit of fewer effects, whose linearisation
+says where shapes (a place, a width) should lie, or, where that fit misses the data, exact predictions over the
+plausible range of the amplitudes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from benchsim.diagnosis import evidence, linear, screen, settings
+from benchsim.diagnosis.linear import Linear
+from benchsim.diagnosis.problem import Effect
+from benchsim.diagnosis.refit import Context, Hypothesis, Solved
+from benchsim.diagnosis.screen import Catalogue
+
+Array = NDArray[np.float64]
+
+AFAR = 10.0
+"""By how much noise is enlarged about the stated settings, where a misfit of settings by 2 sigma leaves some sigma of
+curvature."""
+
+SCANNED = (0.0, 0.2, 0.5, 1.0, 1.6, 2.2)
+"""Amplitudes, in prior sigmas, from which a fit is begun where what it grows from misses the data."""
+
+PLACES = 40
+"""Shapes that are tried about a node, and again about the best of them."""
+
+
+def scanned(context: Context, h: Hypothesis, source: Solved, amplitude: Array) -> Array:
+    """Amplitudes, in fit space, from which to start where a fit misses the data.
+
+    A width answers to a defocus of either sign alike, so that a descent from 0 may end in the wrong valley. Amplitudes
+    of effects that the fit lacks are tried over their plausible range, with exact predictions about the stated
+    settings, whose linearised errors are integrated with noise `AFAR` times larger.
+    """
+    problem, about = context.problem, context.curvature
+    if about is None:
+        return amplitude
+    out, first = amplitude.copy(), 0
+    at = {q.name: source.fit.values[q.name] for e in h.effects if e.name in source.fit.effects for q in e.parameters}
+    scaled = np.array([n.scaled for n in problem.nuisances], bool)
+    nuisance = context.whiten(about.first) / AFAR
+    for e in h.effects:
+        own = evidence.amplitudes(e)
+        mine, first = slice(first, first + len(own)), first + len(own)
+        if e.name in source.fit.effects or evidence.shapes(e) or len(own) > 2:
+            continue
+        axes = [np.array(SCANNED if evidence.kind(a) else (*(-x for x in SCANNED[:0:-1]), *SCANNED)) for a in own]
+        points = [q * np.array([a.sigma**a.power for a in own]) for q in map(np.array, product(*axes))]
+        values = [
+            {**at, **evidence.fixed(e), **{a.name: float(x ** (1 / a.power)) if a.power > 1 else float(x)
+                                           for a, x in zip(own, q, strict=True)}}
+            for q in points
+        ]  # fmt: skip
+        blocks = range(len(problem.names))
+        found = linear.predictions(problem, [v for v in values for _ in blocks], [b for _ in values for b in blocks])
+        each = [np.concatenate(found[i : i + len(blocks)]) for i in range(0, len(found), len(blocks))]
+        residual = np.nan_to_num(context.whiten(problem.data[:, None] - np.column_stack(each)), nan=1e6) / AFAR
+        plain = Linear(residual[:, 0], nuisance, scaled, residual[:, :0], (), problem.block, 0.0)
+        chi2 = np.diag(linear.marginal(plain, residual, float(context.scales[len(context.scales) // 2])).gram)
+        cost = chi2 + [float(sum((x / a.sigma**a.power) ** 2 for a, x in zip(own, q, strict=True))) for q in points]
+        out[mine] = points[int(np.argmin(cost))]
+    return out
+
+
+def placed(
+    context: Context, effect: Effect, node: Mapping[str, float], source: Solved
+) -> tuple[list[float], dict[str, float]]:
+    """Amplitudes and shapes near a node that explain the residual of a fit best, to first order.
+
+    A fit descends from there into the nearest peak, and a grid is too coarse to say which is the highest; without an
+    amplitude shapes would have no direction to go.
+    """
+    own, shapes = evidence.amplitudes(effect), evidence.shapes(effect)
+    at = {**source.fit.values, **evidence.fixed(effect)}
+    lin, scale = source.fit.linear, source.fit.setting_scale
+    prior = np.diag([a.sigma ** (-2.0 * a.power) for a in own])
+    # A fixed seed: the same data give the same diagnosis.
+    rng = np.random.default_rng(0)
+    best, gain = {p.name: node[p.name] for p in shapes}, -np.inf
+    size: Array = np.zeros(len(own))
+    reach = {p.name: (max(p.grid) - min(p.grid)) / max(len(p.grid) - 1, 1) for p in shapes}
+    for shrink in (1.0, 0.4):
+        tried = [best]
+        for _ in range(PLACES):
+            moved = {p.name: best[p.name] + shrink * reach[p.name] * rng.uniform(-1, 1) for p in shapes}
+            tried.append({p.name: float(np.clip(moved[p.name], min(p.grid), max(p.grid))) for p in shapes})
+        found = linear.columns_at(context.problem, [({**at, **t}, own) for t in tried])
+        white = context.whiten(np.column_stack(found))
+        m = linear.marginal(lin, white, scale)
+        for i, t in enumerate(tried):
+            mine = slice(i * len(own), (i + 1) * len(own))
+            inner, u = m.gram[mine, mine] + prior, m.projection[mine]
+            mean: Array = np.asarray(np.linalg.solve(inner, u), float)
+            now = 0.5 * float(u @ mean) - 0.5 * float(np.linalg.slogdet(inner)[1])
+            if now > gain:
+                best, size, gain = t, mean, now
+    bounded = [max(q, 0.0) if evidence.kind(a) else q for q, a in zip(size.tolist(), own, strict=True)]
+    return bounded, best
+
+
+def best_nodes(context: Context, catalogue: Catalogue, h: Hypothesis, source: Solved) -> list[tuple[int, ...]]:
+    """Grid nodes to start from: the most probable, then the next best that differs (or the same)."""
+    if not h.shapes:
+        only = tuple(0 for _ in h.effects)
+        return [only, only]
+    new = [e for e in h.effects if e.name not in source.fit.effects]
+    terms = screen.hypothesis_terms(catalogue, tuple(e.name for e in new), {})
+    many = settings.marginals(source.fit.linear, context.whiten(catalogue.columns), context.scales)
+    gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
+    log_z = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
+    log_z = logsumexp(log_z + settings.log_null(many, context.weights)[:, None], axis=0)
+    ranked: list[tuple[int, ...]] = []
+    for i in np.argsort(-log_z):
+        if terms[i].node not in ranked:
+            ranked.append(terms[i].node)
+        if len(ranked) == 2:
+            break
+    ranked = [*ranked, ranked[0]][:2]
+    place = {e.name: j for j, e in enumerate(new)}
+    return [tuple(node[place[e.name]] if e.name in place else 0 for e in h.effects) for node in ranked]
