@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from toy import toy
 
 from benchsim.diagnosis import attachments, naming
-from benchsim.diagnosis.attachments import PRESENCE, kernel_root, lengths
+from benchsim.diagnosis.attachments import PRESENCE, kernel_root
 from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
 
 SNR_ONE = {"bow": 1 / 89.6, "lean": 1 / 58.2, "creep": 1 / 6.11}
@@ -40,11 +40,11 @@ def test_evidence_is_the_dense_gaussian_integral():
         n = null.linear.nuisance * np.where(null.linear.scaled, scale, 1.0)
         m = np.eye(len(n)) + n @ n.T
         plain.append(np.log(w) + multivariate_normal.logpdf(null.linear.residual, cov=m))
-        for length in lengths(got.attachment):
+        for length in got.attachment.lengths:
             r = white @ kernel_root(got.attachment, length, 1e-12)
             for a, v in zip(grid, weights, strict=True):
                 z = multivariate_normal.logpdf(null.linear.residual, cov=m + a**2 * r @ r.T)
-                with_it.append(np.log(w * v / len(lengths(got.attachment))) + z)
+                with_it.append(np.log(w * v / len(got.attachment.lengths)) + z)
     gain = logsumexp(with_it) - logsumexp(plain)
     prior = np.log(PRESENCE / (1 - PRESENCE) / len(problem.attachments))
     assert got.log_evidence - null.log_evidence == pytest.approx(gain + prior, abs=0.01)
