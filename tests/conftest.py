@@ -1,4 +1,4 @@
-"""Each test process computes with one thread: several of them share the cores, and small matrices gain from no second."""
+"""Each test process computes with one thread: several share the cores, and small matrices gain from no second."""
 
 import os
 
