@@ -194,10 +194,13 @@ def _search(
         if not left:
             break
         pick = max(left, key=lambda e: table.log_z[e])
+        if len(done) == 1 and refit.misses(context, null):
+            pick = starts.together(context) or pick
+        source = done[table.source.get(pick, ())]
         tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * len(done) / refits)
-        solved = _refit(context, catalogue, pick, done[table.source[pick]], done, table.log_z[pick])
+        solved = _refit(context, catalogue, pick, source, done, table.log_z.get(pick, -np.inf))
         done[pick] = solved
-        table.log_z[pick] = solved.fit.log_evidence
+        table.log_z[pick], table.source[pick] = solved.fit.log_evidence, source.fit.effects
         if solved.fit.converged:
             if refit.misses(context, null) and solved.fit.log_evidence == max(
                 s.fit.log_evidence for s in done.values()

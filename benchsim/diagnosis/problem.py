@@ -69,6 +69,9 @@ class Effect:
     random_field : bool
         The amplitudes are draws of one population whose sigma is itself unknown (at most ``sigma``): it is
         integrated over.
+    whole : bool
+        Present as a whole or not at all: where it is there, its amplitudes are near 1. Several such effects may need
+        each other.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Effect:
     says: str = ""
     remedy: str = ""
     random_field: bool = False
+    whole: bool = False
 
 
 @dataclass(frozen=True)

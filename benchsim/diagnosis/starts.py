@@ -7,16 +7,17 @@ plausible range of the amplitudes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import product
+from collections.abc import Mapping, Sequence
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, linear, screen, settings
+from benchsim.diagnosis.fits import Effects
 from benchsim.diagnosis.linear import Linear
-from benchsim.diagnosis.problem import Effect
+from benchsim.diagnosis.problem import Effect, Parameter
 from benchsim.diagnosis.refit import Context, Hypothesis, Solved
 from benchsim.diagnosis.screen import Catalogue
 
@@ -40,34 +41,61 @@ def scanned(context: Context, h: Hypothesis, source: Solved, amplitude: Array) -
     of effects that the fit lacks are tried over their plausible range, with exact predictions about the stated
     settings, whose linearised errors are integrated with noise `AFAR` times larger.
     """
-    problem, about = context.problem, context.curvature
-    if about is None:
+    if context.curvature is None:
         return amplitude
     out, first = amplitude.copy(), 0
     at = {q.name: source.fit.values[q.name] for e in h.effects if e.name in source.fit.effects for q in e.parameters}
-    scaled = np.array([n.scaled for n in problem.nuisances], bool)
-    nuisance = context.whiten(about.first) / AFAR
     for e in h.effects:
         own = evidence.amplitudes(e)
         mine, first = slice(first, first + len(own)), first + len(own)
         if e.name in source.fit.effects or evidence.shapes(e) or len(own) > 2:
             continue
+        if e.whole:
+            out[mine] = 1.0
+            continue
         axes = [np.array(SCANNED if evidence.kind(a) else (*(-x for x in SCANNED[:0:-1]), *SCANNED)) for a in own]
         points = [q * np.array([a.sigma**a.power for a in own]) for q in map(np.array, product(*axes))]
-        values = [
-            {**at, **evidence.fixed(e), **{a.name: float(x ** (1 / a.power)) if a.power > 1 else float(x)
-                                           for a, x in zip(own, q, strict=True)}}
-            for q in points
-        ]  # fmt: skip
-        blocks = range(len(problem.names))
-        found = linear.predictions(problem, [v for v in values for _ in blocks], [b for _ in values for b in blocks])
-        each = [np.concatenate(found[i : i + len(blocks)]) for i in range(0, len(found), len(blocks))]
-        residual = np.nan_to_num(context.whiten(problem.data[:, None] - np.column_stack(each)), nan=1e6) / AFAR
-        plain = Linear(residual[:, 0], nuisance, scaled, residual[:, :0], (), problem.block, 0.0)
-        chi2 = np.diag(linear.marginal(plain, residual, float(context.scales[len(context.scales) // 2])).gram)
-        cost = chi2 + [float(sum((x / a.sigma**a.power) ** 2 for a, x in zip(own, q, strict=True))) for q in points]
+        values = [{**at, **evidence.fixed(e), **_values(own, q)} for q in points]
+        cost = misfits(context, values)
+        cost += [float(sum((x / a.sigma**a.power) ** 2 for a, x in zip(own, q, strict=True))) for q in points]
         out[mine] = points[int(np.argmin(cost))]
     return out
+
+
+def _values(own: Sequence[Parameter], q: Array) -> dict[str, float]:
+    return {a.name: float(x ** (1 / a.power)) if a.power > 1 else float(x) for a, x in zip(own, q, strict=True)}
+
+
+def misfits(context: Context, values: Sequence[Mapping[str, float]]) -> Array:
+    """χ² of exact predictions about the stated settings, whose errors are integrated to first order, (m,).
+
+    The noise is taken `AFAR` times larger, which covers what first order leaves of those errors.
+    """
+    problem, about = context.problem, context.curvature
+    if about is None or not len(values):
+        return np.zeros(len(values))
+    blocks = range(len(problem.names))
+    found = linear.predictions(problem, [v for v in values for _ in blocks], [b for _ in values for b in blocks])
+    each = [np.concatenate(found[i : i + len(blocks)]) for i in range(0, len(found), len(blocks))]
+    residual = np.nan_to_num(context.whiten(problem.data[:, None] - np.column_stack(each)), nan=1e6) / AFAR
+    scaled = np.array([n.scaled for n in problem.nuisances], bool)
+    nuisance = context.whiten(about.first) / AFAR
+    plain = Linear(residual[:, 0], nuisance, scaled, residual[:, :0], (), problem.block, 0.0)
+    middle = float(context.scales[len(context.scales) // 2])
+    return np.array(np.diag(linear.marginal(plain, residual, middle).gram))
+
+
+def together(context: Context) -> Effects:
+    """Of the effects that are present as a whole or not at all, the set that comes nearest to the data; may be empty.
+
+    One may show only in the presence of another (a beam has to have a width before its diffraction changes it), so
+    that none of them is found alone.
+    """
+    whole = [e for e in context.problem.catalogue if e.whole]
+    sets = [chosen for n in range(len(whole) + 1) for chosen in combinations(whole, n)]
+    values = [{a.name: 1.0 for e in chosen for a in evidence.amplitudes(e)} for chosen in sets]
+    best = sets[int(np.argmin(misfits(context, values)))] if whole else ()
+    return tuple(e.name for e in best)
 
 
 def placed(

@@ -504,7 +504,8 @@ def candidates(recording: Recording, against: str = "bench") -> tuple[Effect, ..
         parameters = tuple(
             Parameter(t.name, t.unit, t.cap / 2, one_sided=t.one_sided, power=t.power, grid=t.grid) for t in own
         )
-        out.append(Effect(name, entry.element, parameters, entry.says, entry.remedy, random))
+        whole = name in PHYSICS_OF
+        out.append(Effect(name, entry.element, parameters, entry.says, entry.remedy, random, whole))
     return tuple(out)
 
 
