@@ -18,7 +18,8 @@ import time
 import zlib
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ import study_score as score
 
 from benchsim import diagnosis
 from benchsim.bench.model import Recording
+from benchsim.diagnosis import curvature
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
@@ -45,12 +47,29 @@ def rng_of(seed: int, tier: str, row: str, case: int) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(f"{tier}/{row}".encode()), case])
 
 
-def conceal(
-    row: str, recording: Recording, rng: np.random.Generator
-) -> tuple[draw.Truth, draw.Sight, dict[str, float]]:
+@dataclass(frozen=True)
+class Stage:
+    """A bench before anything is concealed in it, and what all cases on it share."""
+
+    recording: Recording
+    observed: tuple[observables.Observed, ...]
+    sight: draw.Sight
+    bends: curvature.Curvature
+
+
+@lru_cache(maxsize=4)
+def stage(tier: str, kind: str, seed: int, case: int, shrink: int) -> Stage:
+    """The bench of one case number: drawn apart from what is concealed, so that a case of every row shares it."""
+    recording = draw.bench(kind, rng_of(seed, tier, kind, case), shrink)
+    observed = observables.simulate(recording)
+    nominal = bench_problem.build(recording, observed)
+    return Stage(recording, tuple(observed), draw.Sight.of(nominal), curvature.measure(nominal))
+
+
+def conceal(row: str, on: Stage, rng: np.random.Generator) -> tuple[draw.Truth, dict[str, float]]:
     """Draw what one case conceals; also the parameters of the catalogue's effects, by parameter name."""
-    nominal = bench_problem.build(recording, observables.simulate(recording))
-    sight = draw.Sight.of(nominal)
+    recording, sight = on.recording, on.sight
+    nominal = sight.problem
     values: dict[str, float] = {}
     effects: dict[str, dict[str, float]] = {}
     count = {"single": 1, "fig7": 1, "removed": 1, "pair": 2}.get(row, 0)
@@ -69,7 +88,7 @@ def conceal(
         noise_scale=1.3 if row == "clean-noise" else 1.0,
         correlated=0.7 if row == "clean-correlated" else 0.0,
     )
-    return truth, sight, values
+    return truth, values
 
 
 def visible(
@@ -122,9 +141,9 @@ def pulls_of(d: Diagnosis, truth: draw.Truth) -> list[float]:
 def traces_case(row: str, seed: int, case: int, fresh: bool) -> dict[str, Any]:
     """One case of the traces' tier."""
     rng = rng_of(seed, "traces", row, case)
-    recording = draw.bench("fig7" if row == "fig7" else "six", rng)
-    truth, sight, values = conceal(row, recording, rng)
-    observed = observables.simulate(recording)
+    on = stage("traces", "fig7" if row == "fig7" else "six", seed, case, 1)
+    recording, observed, sight = on.recording, on.observed, on.sight
+    truth, values = conceal(row, on, rng)
     nominal = sight.problem
     bent = None
     if truth.fields:
@@ -140,7 +159,7 @@ def traces_case(row: str, seed: int, case: int, fresh: bool) -> dict[str, Any]:
     if row == "removed":
         judged = replace(judged, catalogue=tuple(e for e in judged.catalogue if e.name not in truth.effects))
     start = time.process_time()
-    d = diagnosis.diagnose(judged)
+    d = diagnosis.diagnose(judged, bends=on.bends)
     out = {
         "tier": "traces", "row": row, "seed": seed, "case": case, "truth": draw.plain(truth),
         "truth_element": element_of(nominal, truth), **visible(truth, sight, values, bent), **verdict_of(d),
@@ -168,11 +187,12 @@ def photographs_case(row: str, seed: int, case: int, shrink: int) -> dict[str, A
     from benchsim.render.recording import render_recording
 
     rng = rng_of(seed, "photographs", row, case)
-    recording = draw.bench("fig7" if row == "fig7" else "six", rng, shrink)
-    truth, sight, values = conceal(row, recording, rng)
+    on = stage("photographs", "fig7" if row == "fig7" else "six", seed, case, shrink)
+    recording, sight = on.recording, on.sight
+    truth, values = conceal(row, on, rng)
     bent = None
     if truth.fields:
-        true = bench_problem.build(replace(recording, fields=truth.fields), observables.simulate(recording))
+        true = bench_problem.build(replace(recording, fields=truth.fields), on.observed)
         difference = predict_all(true, {}) - true.data + sight.problem.data - predict_all(sight.problem, {})
         bent = sight.through(draw.whiten(sight.problem, sight.problem.covariance, difference)[0])
     u = recording.uncertainty

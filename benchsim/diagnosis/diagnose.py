@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchsim.diagnosis import attachments, classes, following, held_out, laws, limits, location, remainder, verdict
 from benchsim.diagnosis.attachments import Attached
 from benchsim.diagnosis.classes import Claim, Space, Weighed
+from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.fits import Effects, Fit, Naming
 from benchsim.diagnosis.following import Alive
 from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, predict_all, whiten
@@ -30,7 +31,7 @@ CONCERN = 12.0
 """ln Z behind the best at which an attachment is left as it is."""
 
 
-def diagnose(problem: Problem, progress: Progress | None = None) -> Diagnosis:
+def diagnose(problem: Problem, progress: Progress | None = None, *, bends: Curvature | None = None) -> Diagnosis:
     """Say whether anything is missing from the prediction, where, what, how large, and what would settle the rest.
 
     Parameters
@@ -38,6 +39,8 @@ def diagnose(problem: Problem, progress: Progress | None = None) -> Diagnosis:
     problem : Problem
     progress : callable, optional
         Called with what is being done and the fraction done.
+    bends : Curvature, optional
+        `curvature.measure` of this prediction, where several data sets share it; default measured here.
 
     Returns
     -------
@@ -49,7 +52,7 @@ def diagnose(problem: Problem, progress: Progress | None = None) -> Diagnosis:
         If the data are not blocks with finite numbers, or the prediction is not finite as stated.
     """
     tell = progress or (lambda what, done: None)
-    return conclude(problem, name(problem, lambda what, done: tell(what, 0.6 * done)), tell)
+    return conclude(problem, name(problem, lambda what, done: tell(what, 0.6 * done), bends=bends), tell)
 
 
 LITTLE = 0.05
@@ -103,6 +106,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         more,
         _left(problem, naming.null, modes),
         _left(problem, best.fit, modes),
+        best.claim is None or not more or _with(problem, naming, more[0], modes)[1].acceptable,
     )
     on = best.fit if findings.stands else naming.null
     missing = findings.claim is not None or findings.something_left
@@ -216,6 +220,15 @@ def _left(problem: Problem, fit: Fit, modes: remainder.Modes) -> remainder.Remai
     return remainder.remainder(attachments.absorb(problem, fit.linear), modes, fit.setting_scale)
 
 
+def _with(
+    problem: Problem, naming: Naming, laid: Attached, modes: remainder.Modes
+) -> tuple[Linear, remainder.Remainder]:
+    """The problem with a function on it, and what the smooth modes leave then."""
+    white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
+    with_it = attachments.with_columns(attachments.absorb(problem, laid.linear), white @ laid.root)
+    return with_it, remainder.remainder(with_it, modes, laid.scale)
+
+
 def _place(
     problem: Problem, naming: Naming, best: _Best, findings: Findings, modes: remainder.Modes, on: Fit
 ) -> Location | None:
@@ -223,20 +236,15 @@ def _place(
     covariance = naming.noise.covariance
     rest = findings.stands and findings.something_left
     base = on if rest else naming.null
-    stretches = location.scan(problem, attachments.absorb(problem, base.linear), covariance, base.setting_scale)
+    ground = attachments.absorb(problem, base.linear)
+    stretches = location.scan(problem, ground, covariance, base.setting_scale)
     explanations = []
     coordinate: dict[str, str] = {}
     for laid in findings.more if rest else findings.free:
         a = laid.attachment
         coordinate.setdefault(a.element, a.coordinate)
-        white, _ = whiten(problem, covariance, a.basis)
-        with_it = attachments.with_columns(attachments.absorb(problem, laid.linear), white @ laid.root)
-        nothing = remainder.remainder(with_it, modes, laid.scale).acceptable
-        left = (
-            0.0
-            if nothing
-            else _unexplained(with_it, laid.scale, attachments.absorb(problem, base.linear), base.setting_scale)
-        )
+        with_it, rest_of_it = _with(problem, naming, laid, modes)
+        left = 0.0 if rest_of_it.acceptable else _unexplained(with_it, laid.scale, ground, base.setting_scale)
         explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, left))
     if not rest:
         element = {e.name: e.element for e in problem.catalogue}

@@ -61,7 +61,9 @@ class _Table:
     source: dict[Effects, Effects]
 
 
-def name(problem: Problem, progress: Progress | None = None, *, refits: int = MOST) -> Naming:
+def name(
+    problem: Problem, progress: Progress | None = None, *, refits: int = MOST, bends: Curvature | None = None
+) -> Naming:
     """Weigh all hypotheses of the catalogue.
 
     Parameters
@@ -71,6 +73,8 @@ def name(problem: Problem, progress: Progress | None = None, *, refits: int = MO
         Called with what is being done and the fraction done.
     refits : int
         Most hypotheses that are refitted.
+    bends : Curvature, optional
+        `curvature.measure` of this prediction, where several data sets share it; default measured here.
 
     Returns
     -------
@@ -84,7 +88,7 @@ def name(problem: Problem, progress: Progress | None = None, *, refits: int = MO
     tell = progress or (lambda what, done: None)
     _check(problem)
     tell("fitting the settings", 0.0)
-    bends = curvature.measure(problem)
+    bends = bends or curvature.measure(problem)
     solved, found = _null(problem, bends)
     tell("differentiating the effects", 0.15)
     catalogue = screen.expand(problem, solved.fit.values)

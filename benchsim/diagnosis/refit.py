@@ -62,6 +62,10 @@ RADIUS = 3.0
 ROUNDS = 8
 """Descents with derivatives renewed in between."""
 
+SLOW = 0.1
+"""Part of a misfit beyond doubt that each of them has to take away: a hypothesis that is wrong by far is not followed
+through every valley."""
+
 
 @dataclass(frozen=True)
 class Whitener:
@@ -676,7 +680,7 @@ def fit(
     if hold:
         state = _begin(context, h, prior, _point(_held(context, h, prior, state, known).theta, p, k))
         own = columns_at(state.theta)
-    converged, checked = False, 0
+    converged, checked, before = False, 0, np.inf
     for turn in range(rounds or ROUNDS):
         state, own = _descend(context, h, prior, state, known, own, columns_at)
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
@@ -692,6 +696,9 @@ def fit(
         promise = _step(normal, prior, state.theta, p)[1]
         converged = promise < _still(context, state.residual)
         if not converged:
+            missed, before = before, _excess(context.whiten(state.residual))
+            if before > (1 - SLOW) * missed:
+                break
             continue
         if checked >= len(starts) - 1:
             break

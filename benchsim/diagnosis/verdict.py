@@ -40,6 +40,9 @@ class Findings:
         Laid on the claim's best hypothesis; ``free`` where there is none.
     left_null, left : Remainder
         What the smooth modes leave under the null, and under the best hypothesis.
+    together : bool
+        Whether the best hypothesis with the best function on it leaves nothing. A name that is only a patch on a
+        function which does not fit is not one.
     """
 
     null_log_evidence: float
@@ -49,13 +52,14 @@ class Findings:
     more: tuple[Attached, ...]
     left_null: Remainder
     left: Remainder
+    together: bool = True
 
     @property
     def margin(self) -> float:
-        """ln Z of the claim, with whatever function lies on it, over the best function alone."""
+        """ln Z of the claim, with whatever function lies on it and then fits, over the best function alone."""
         if not self.free:
             return float("inf")
-        mine = max(self.log_evidence, *(a.log_evidence for a in self.more))
+        mine = max([self.log_evidence, *(a.log_evidence for a in self.more if self.together)])
         return mine - self.free[0].log_evidence
 
     @property
