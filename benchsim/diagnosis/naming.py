@@ -19,9 +19,9 @@ from benchsim.diagnosis import curvature, evidence, linear, noise, refit, screen
 from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, whitener
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.refit import Context, Hypothesis, Known, Point, Solved
 from benchsim.diagnosis.screen import Catalogue
 
 Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ def _check(problem: Problem) -> None:
 
 
 def _context(problem: Problem, found: Noise, bends: Curvature) -> Context:
-    return Context(problem, refit.whitener(problem, found.covariance), *settings.grid(), bends)
+    return Context(problem, whitener(problem, found.covariance), *settings.grid(), bends)
 
 
 def _starts(point: Point) -> list[Point]:

@@ -16,9 +16,9 @@ from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, linear, screen, settings
 from benchsim.diagnosis.fits import Effects
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Solved
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import Effect, Parameter
-from benchsim.diagnosis.refit import Context, Hypothesis, Solved
 from benchsim.diagnosis.screen import Catalogue
 
 Array = NDArray[np.float64]

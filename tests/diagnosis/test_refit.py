@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from benchsim.diagnosis import linear, naming, refit, screen, settings
-from benchsim.diagnosis.refit import Hypothesis, Known, Point
+from benchsim.diagnosis import descent, linear, naming, refit, screen, settings
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, whitener
 
 BY_NAME = {e.name: e for e in lines.CATALOGUE}
 
 
 def context_of(problem):
-    return refit.Context(problem, refit.whitener(problem, problem.covariance), *settings.grid())
+    return Context(problem, whitener(problem, problem.covariance), *settings.grid())
 
 
 def known_at_zero(problem):
@@ -58,7 +58,7 @@ def test_the_peak_is_that_of_an_independent_optimiser(truth, effects, shape):
     best = least_squares(lambda t: cost(problem, h, t, fit.setting_scale), moved, xtol=1e-12, ftol=1e-12, gtol=1e-10)
     ours = 0.5 * (cost(problem, h, start, fit.setting_scale) ** 2).sum()
     assert fit.converged
-    assert ours - best.cost < refit.STILL
+    assert ours - best.cost < descent.STILL
     for name, value in zip([a.name for a in (*h.amplitudes, *h.shapes)], best.x[len(problem.nuisances) :], strict=True):
         assert abs(value - fit.values[name]) < 0.5 * fit.sigma[name]
 
@@ -97,13 +97,13 @@ def test_a_fit_that_finds_no_step_is_marked_unconverged(monkeypatch):
     mended = refit.fit(context, h, [zero], known, wrong)
     assert mended.fit.converged
     monkeypatch.setattr(refit, "ROUNDS", 1)
-    monkeypatch.setattr(refit, "RENEWALS", 1)
+    monkeypatch.setattr(descent, "RENEWALS", 1)
     stuck = refit.fit(context, h, [zero], known, wrong)
     assert not stuck.fit.converged
 
 
 def test_unconverged_fits_come_last_and_a_naming_says_so(monkeypatch):
-    monkeypatch.setattr(refit, "STILL", -np.inf)
+    monkeypatch.setattr(descent, "STILL", -np.inf)
     found = naming.name(lines.problem({"turn": 0.5}, seed=1)[0])
     assert not any(f.converged for f in found.fits)
     monkeypatch.undo()
@@ -116,9 +116,7 @@ def test_a_frozen_jacobian_would_name_wrongly():
     for seed in range(3):
         problem, _ = lines.problem({"turn": 1.0}, seed=seed)
         named = naming.name(problem)
-        context = refit.Context(
-            problem, refit.whitener(problem, named.noise.covariance), named.setting_scales, named.scale_weights
-        )
+        context = Context(problem, whitener(problem, named.noise.covariance), named.setting_scales, named.scale_weights)
         catalogue = screen.expand(problem, named.null.values)
         frozen = screen.screen(
             named.null.linear, catalogue, context.whiten(catalogue.columns), context.scales, context.weights

@@ -1,0 +1,357 @@
+"""Descent of nuisances, amplitudes and shapes together, from minimum to minimum of a second-order model.
+
+The model (`curvature`) has its residual renewed each time, and a step is taken only if the exact objective falls. Noise
+is taken larger at first and falls as the model proves right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
+
+from benchsim.diagnosis import curvature, evidence
+from benchsim.diagnosis.hypothesis import Change, Context, Hypothesis, Known, Point, span, values
+
+Array = NDArray[np.float64]
+Columns = Callable[[Array], Array]
+
+STILL = 0.2
+"""Gain in ln posterior that renewed derivatives may still promise in a converged fit. Names are given at margins of 3
+and more; where settings are known far worse than the data, less is the rounding of the derivatives."""
+
+DESCENT = 2e-3
+"""Gain below which one descent ends."""
+
+STEPS, SHRINKS, RENEWALS = 60, 12, 24
+"""Steps on one second-order model, of the region before a step is given up, and residuals renewed in one descent."""
+
+REACH, FAR = 1.5, 6.0
+"""Prior sigmas over which a second-order model is followed before the residual is asked again, first and at most."""
+
+TEMPERED, COOLING, WRONG = 2.0, 3.0, 7.0
+"""rms residual [sigma] above which a descent begins with larger noise; by how much that falls; and how far, in its own
+sigmas, the model may have missed all data together for it to fall."""
+
+RADIUS = 3.0
+"""Prior sigmas by which a first step may move a parameter."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Quadratic (1/variance) and linear parts of −ln prior, and bounds: nuisances, amplitudes, shapes in one row."""
+
+    precision: Array
+    slope: Array
+    low: Array
+    high: Array
+    reach: Array
+    """Largest step."""
+    unit: Array
+    """Steps are measured in these: prior sigmas; shapes have their reach instead."""
+
+    def cost(self, theta: Array) -> float:
+        return float(0.5 * self.precision @ theta**2 + self.slope @ theta)
+
+
+def prior_of(context: Context, h: Hypothesis, scale: float, fields: Sequence[float]) -> Prior:
+    scaled = np.array([p.scaled for p in context.problem.nuisances], bool)
+    p, shapes = len(scaled), h.shapes
+    precision, slope = list(np.where(scaled, scale, 1.0) ** -2.0), [0.0] * p
+    low, high, reach, unit = [-np.inf] * p, [np.inf] * p, [np.inf] * p, [1.0] * p
+    for a, sigma in zip(h.amplitudes, h.sigmas(fields), strict=True):
+        kind = evidence.kind(a)
+        precision.append(0.0 if kind == 2 else sigma**-2.0)
+        slope.append(0.5 * sigma**-2.0 if kind == 2 else 0.0)
+        low.append(0.0 if kind else -np.inf)
+        high.append(np.inf)
+        reach.append(np.inf)
+        unit.append(a.sigma**a.power)
+    for s in shapes:
+        precision.append(0.0)
+        slope.append(0.0)
+        low.append(min(s.grid))
+        high.append(max(s.grid))
+        reach.append(0.25 * span(s))
+        unit.append(np.inf)
+    return Prior(*(np.array(v, float) for v in (precision, slope, low, high, reach, unit)))
+
+
+def theta_of(point: Point) -> Array:
+    return np.concatenate([point.nuisance, point.amplitude, point.shape])
+
+
+def point_of(theta: Array, p: int, k: int) -> Point:
+    return Point(theta[:p], theta[p : p + k], theta[p + k :])
+
+
+def cost_of(context: Context, h: Hypothesis, prior: Prior, theta: Array) -> tuple[float, Array]:
+    """−ln posterior, and the exact residual."""
+    problem = context.problem
+    at = values(problem, h, point_of(theta, len(problem.nuisances), len(h.amplitudes)))
+    residual = problem.data - context.predict(at)
+    if not np.isfinite(residual).all():
+        return float("inf"), residual
+    white = context.whiten(residual)
+    return float(0.5 * white @ white) + prior.cost(theta), residual
+
+
+def normal_form(white: Array, residual: Array, prior: Prior, theta: Array) -> tuple[Array, Array]:
+    """Second and (less) first derivatives of −ln posterior as linearised."""
+    hessian = white.T @ white + np.diag(prior.precision)
+    return hessian, white.T @ residual - prior.precision * theta - prior.slope
+
+
+def step_of(
+    normal: tuple[Array, Array], prior: Prior, theta: Array, p: int, radius: float = np.inf
+) -> tuple[Array, float]:
+    """Best step within the bounds, none longer than ``radius`` prior sigmas, and what it promises to gain.
+
+    Damping by the nuisances' priors (Levenberg): settings that the data fix a thousand times better than their priors
+    otherwise send those that they do not fix off the screen.
+    """
+    hessian, force = normal
+    for damping in (0.0, *np.geomspace(1.0, 1e10, 21)):
+        step = _bounded(hessian + damping * np.diag(prior.unit**-2.0), force, prior, theta, p)
+        if np.abs(step / prior.unit).max(initial=0.0) <= radius:
+            break
+    return step, float(force @ step - 0.5 * step @ hessian @ step)
+
+
+def _bounded(hessian: Array, force: Array, prior: Prior, theta: Array, p: int) -> Array:
+    """argmax of the quadratic form, amplitudes and shapes within their bounds."""
+    free, rest = hessian[:p, :p], hessian[p:, :p]
+    solved = np.linalg.solve(free, np.column_stack([force[:p], rest.T])) if p else np.zeros((0, 1 + len(theta)))
+    step = np.zeros(len(theta))
+    if len(theta) > p:
+        reduced = hessian[p:, p:] - rest @ solved[:, 1:]
+        pull = force[p:] - rest @ solved[:, 0]
+        # A shape whose amplitude is 0 changes nothing: a slight ridge keeps it where it is.
+        unit = np.sqrt(np.diag(reduced) + 1e-12 * max(float(np.diag(reduced).max()), 1e-300))
+        scaled = reduced / unit[:, None] / unit + 1e-9 * np.eye(len(unit))
+        low = np.maximum(prior.low - theta, -prior.reach)[p:] * unit
+        high = np.minimum(prior.high - theta, prior.reach)[p:] * unit
+        factor = np.linalg.cholesky(scaled)
+        target = solve_triangular(factor, pull / unit, lower=True)
+        own = solve_triangular(factor.T, target, lower=False)
+        if (own < low).any() or (own > high).any():
+            low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+            high = np.where(high > low, high, low + 1e-12)
+            own = np.clip(lsq_linear(factor.T, target, (low, high), method="bvls").x, low, high)
+        step[p:] = own / unit
+    step[:p] = solved[:, 0] - solved[:, 1:] @ step[p:]
+    return step
+
+
+@dataclass(frozen=True)
+class State:
+    theta: Array
+    cost: float
+    residual: Array
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Residual and derivatives to second order about a point, all whitened.
+
+    ``known`` and ``own`` are the derivatives there, ``second`` those by pairs of nuisances, per block, ``changes`` the
+    amplitudes' M and bend (None: not needed), ``plain`` the same before whitening.
+    """
+
+    context: Context
+    residual: Array
+    known: Array
+    own: Array
+    changes: Sequence[Change]
+    plain: Sequence[Change]
+
+    def at(self, step: Array) -> tuple[Array, Array]:
+        """Whitened residual and columns a step away."""
+        p = self.known.shape[1]
+        dx, dq = step[:p], step[p:]
+        known, own = self.known.copy(), self.own.copy()
+        about = self.context.curvature
+        if about is not None:
+            for b, (mine, second) in enumerate(zip(about.curved, self.context.second(), strict=True)):
+                if len(mine):
+                    known[self.context.problem.rows(b), mine] += second @ dx[mine]
+        bent = 0.5 * (known - self.known) @ dx
+        for i, change in enumerate(self.changes):
+            if change is not None:
+                moved = change[0] @ dx
+                known += dq[i] * change[0]
+                own[:, i] += moved + dq[i] * change[1]
+                bent += dq[i] * (moved + 0.5 * dq[i] * change[1])
+        return self.residual - self.known @ dx - self.own @ dq - bent, np.column_stack([known, own])
+
+
+def _model(context: Context, h: Hypothesis, theta: Array, white: Array, known: Known, own: Array) -> _Model:
+    """About a point whose residual is whitened already."""
+    p = len(context.problem.nuisances)
+    columns = context.whiten(np.column_stack([carried(context, h, known, theta).columns, own]))
+    plain: list[Change] = [*_changes(context, h, theta), *[None] * len(h.shapes)]
+    changes: list[Change] = []
+    for change in plain:
+        both = None if change is None else context.whiten(np.column_stack([change[0], change[1]]))
+        changes.append(None if both is None else (both[:, :-1], both[:, -1]))
+    return _Model(context, white, columns[:, :p], columns[:, p:], changes, plain)
+
+
+def _tempered(prior: Prior, theta: Array, white: Array, s: float) -> float:
+    """−ln posterior with noise s times larger."""
+    return 0.5 * float(white @ white) / s**2 + prior.cost(theta)
+
+
+def _downhill(model: _Model, prior: Prior, theta: Array, reach: float, s: float) -> tuple[Array, float, Array]:
+    """Minimum of the model within ``reach`` with noise s times larger: step, cost and whitened residual there.
+
+    Costs no prediction.
+    """
+    step, radius = np.zeros(len(theta)), min(RADIUS, reach)
+    residual, white = model.at(step)
+    cost = _tempered(prior, theta, residual, s)
+    for _ in range(STEPS):
+        normal = normal_form(white / s, residual / s, prior, theta + step)
+        if step_of(normal, prior, theta + step, model.known.shape[1])[1] < DESCENT:
+            break
+        better = False
+        for _ in range(SHRINKS):
+            more, expected = step_of(normal, prior, theta + step, model.known.shape[1], radius)
+            trial = step + more
+            if np.abs(trial / prior.unit).max(initial=0.0) > reach:
+                radius *= 0.3
+                continue
+            tried = model.at(trial)
+            now = _tempered(prior, theta + trial, tried[0], s)
+            if now < cost:
+                better = True
+                break
+            radius *= 0.3
+        if not better:
+            break
+        (residual, white), step, gained, cost = tried, trial, cost - now, now
+        if gained > 0.75 * expected:
+            radius *= 2
+        if gained < DESCENT:
+            break
+    return step, cost, residual
+
+
+def descend(
+    context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array, columns_at: Columns
+) -> tuple[State, Array]:
+    """To the minimum that stated settings lead to; also the own columns there.
+
+    A residual of a thousand sigma says nothing about directions that nearly cancel: exact noise would follow the
+    model's own errors along them. So noise is first taken as large as the residual, and falls as the second-order model
+    proves to be right.
+    """
+    white = context.whiten(state.residual)
+    s = max(1.0, float(np.sqrt(white @ white / len(white))))
+    s = s if s > TEMPERED else 1.0
+    reach, exact = REACH, True
+    for _ in range(RENEWALS):
+        model = _model(context, h, state.theta, white, known, own)
+        before = _tempered(prior, state.theta, white, s)
+        step, promised, expected = _downhill(model, prior, state.theta, reach, s)
+        promise, length = before - promised, float(np.abs(step / prior.unit).max(initial=0.0))
+        if not length or promise < DESCENT:
+            if s == 1.0:
+                break
+            s = max(1.0, s / COOLING)
+            continue
+        cost, residual = cost_of(context, h, prior, state.theta + step)
+        there = context.whiten(residual) if np.isfinite(cost) else np.full(len(white), 1e9)
+        gained = before - _tempered(prior, state.theta + step, there, s)
+        if gained > 0:
+            state, white = State(state.theta + step, cost, residual), there
+            own, exact = _own_carried(model, own, step, columns_at, state.theta)
+        if gained > 0.7 * promise:
+            reach = min(1.7 * reach, FAR)
+        elif gained < 0.3 * promise:
+            reach = 0.4 * min(reach, length)
+        wrong = float(np.linalg.norm(there - expected))
+        if gained > 0.3 * promise and wrong < WRONG * s:
+            s = max(1.0, s / COOLING)
+        if s == 1.0 and promise < 0.5 * (STILL + 0.02 * excess(white)):
+            break
+    return state, own if exact else columns_at(state.theta)
+
+
+def _own_carried(model: _Model, own: Array, step: Array, columns_at: Columns, theta: Array) -> tuple[Array, bool]:
+    """Own columns a step further, by the second derivatives where those are known; and whether they are exact."""
+    if any(change is None for change in model.plain) or not own.shape[1]:
+        return columns_at(theta), True
+    p = model.known.shape[1]
+    out = own.copy()
+    for i, change in enumerate(model.plain):
+        if change is not None:
+            out[:, i] += change[0] @ step[:p] + step[p + i] * change[1]
+    return out, False
+
+
+def held(context: Context, h: Hypothesis, prior: Prior, state: State, known: Known) -> State:
+    """Where the nuisances descend to while amplitudes and shapes stay."""
+    p = len(context.problem.nuisances)
+    nothing = np.zeros((len(state.residual), len(state.theta) - p))
+    loose = np.arange(len(state.theta)) >= p
+    free = replace(prior, precision=np.where(loose, 0.0, prior.precision), slope=np.where(loose, 0.0, prior.slope))
+    start = replace(state, cost=cost_of(context, h, free, state.theta)[0])
+    return descend(context, h, free, start, known, nothing, lambda theta: nothing)[0]
+
+
+def begin(context: Context, h: Hypothesis, prior: Prior, point: Point) -> State:
+    theta = theta_of(point)
+    cost, residual = cost_of(context, h, prior, theta)
+    return State(theta, cost, residual)
+
+
+def still(context: Context, residual: Array) -> float:
+    """`STILL`, and a fiftieth of a misfit that is beyond doubt: what misses by far need not miss exactly."""
+    white = context.whiten(residual)
+    return STILL + 0.02 * excess(white)
+
+
+def excess(white: Array) -> float:
+    """By how much −ln likelihood lies above three sigma of what noise gives."""
+    n = len(white)
+    return max(0.0, 0.5 * float(white @ white) - 0.5 * n - 1.5 * np.sqrt(2 * n))
+
+
+def _changes(context: Context, h: Hypothesis, theta: Array) -> list[Change]:
+    """M of every own amplitude, as it is at this point."""
+    p, k = len(context.problem.nuisances), len(h.amplitudes)
+    if context.curvature is None:
+        return [None] * k
+    shapes = {s.name: float(x) for s, x in zip(h.shapes, theta[p + k :], strict=True)}
+    out: list[Change] = []
+    first = p
+    for e in h.effects:
+        others = {s.name: round(shapes[s.name], 2) for s in evidence.shapes(e)} | dict(evidence.fixed(e))
+        for a in evidence.amplitudes(e):
+            out.append(context.change(a, float(theta[first]), others))
+            first += 1
+    return out
+
+
+def sizes_of(context: Context, h: Hypothesis, theta: Array) -> dict[str, float]:
+    p = len(context.problem.nuisances)
+    return {a.name: float(q) for a, q in zip(h.amplitudes, theta[p:], strict=False)}
+
+
+def carried(context: Context, h: Hypothesis, known: Known, theta: Array) -> Known:
+    """The nuisances' columns carried from where they are known to this point by second derivatives."""
+    about, p = context.curvature, len(context.problem.nuisances)
+    if about is None:
+        return known
+    now = sizes_of(context, h, theta)
+    columns = known.columns + curvature.nuisance_columns(context.problem, about, theta[:p] - known.nuisance)
+    columns -= about.first
+    for name, change in zip(now, _changes(context, h, theta), strict=True):
+        if change is not None:
+            columns += (now[name] - known.amplitude.get(name, 0.0)) * change[0]
+    return Known(columns, theta[:p].copy(), now)

@@ -1,0 +1,190 @@
+"""What the fits of one problem share, and a hypothesis with its parameters sorted out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from benchsim.diagnosis import curvature, evidence, linear
+from benchsim.diagnosis.curvature import Curvature
+from benchsim.diagnosis.evidence import Term
+from benchsim.diagnosis.fits import Effects, Fit
+from benchsim.diagnosis.problem import Effect, Parameter, Problem
+
+Array = NDArray[np.float64]
+Change = tuple[Array, Array] | None
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Cholesky factors of the blocks' covariances."""
+
+    problem: Problem
+    lower: tuple[Array, ...]
+    logdet: float
+
+    def __call__(self, columns: Array) -> Array:
+        """L⁻¹ columns, (n,) or (n, k)."""
+        out: Array = np.empty(columns.shape)
+        for b, low in enumerate(self.lower):
+            rows = self.problem.rows(b)
+            out[rows] = solve_triangular(low, columns[rows], lower=True, check_finite=False)
+        return out
+
+
+def whitener(problem: Problem, covariance: Sequence[Array]) -> Whitener:
+    """Factorise once."""
+    lower = tuple(np.asarray(np.linalg.cholesky(c), float) for c in covariance)
+    return Whitener(problem, lower, float(2 * sum(np.log(np.diag(low)).sum() for low in lower)))
+
+
+@dataclass(frozen=True)
+class Point:
+    """Nuisances in prior sigmas, amplitudes in fit space, shapes in their units."""
+
+    nuisance: Array
+    amplitude: Array
+    shape: Array
+
+
+@dataclass(frozen=True)
+class Known:
+    """Derivatives by the nuisances per prior sigma (n, p), not whitened, and where they hold.
+
+    ``amplitude`` holds the amplitudes there that are not 0, in fit space.
+    """
+
+    columns: Array
+    nuisance: Array
+    amplitude: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A fit and what its neighbours can use: the point, its derivatives, its exact residual (none whitened)."""
+
+    fit: Fit
+    point: Point
+    known: Known
+    own: Array
+    residual: Array
+
+
+@dataclass
+class Count:
+    """Predictions of single blocks, counted."""
+
+    predictions: int = 0
+
+
+@dataclass(frozen=True)
+class Context:
+    """What all fits of one problem share."""
+
+    problem: Problem
+    whiten: Whitener
+    scales: Array
+    weights: Array
+    curvature: Curvature | None = None
+    mixed: dict[tuple[str, tuple[tuple[str, float], ...]], tuple[Array, Array]] = field(default_factory=dict)
+    bent: list[Array] = field(default_factory=list)
+    count: Count = field(default_factory=Count)
+
+    def columns(self, at: Mapping[str, float], parameters: Sequence[Parameter]) -> Array:
+        """`linear.columns`, shapes stepped by 2 % of their range, predictions counted."""
+        blocks = len(self.problem.names)
+        self.count.predictions += sum(2 * (blocks if p.blocks is None else len(p.blocks)) for p in parameters)
+        steps = {p.name: 0.02 * span(p) for p in parameters if p.grid}
+        return linear.columns(self.problem, at, tuple(parameters), steps)
+
+    def predict(self, at: Mapping[str, float]) -> Array:
+        """`linear.predict_all`, counted."""
+        self.count.predictions += len(self.problem.names)
+        return linear.predict_all(self.problem, at)
+
+    def second(self) -> tuple[Array, ...]:
+        """The curvature's second derivatives, whitened, per block."""
+        if not self.bent and self.curvature is not None:
+            for low, bend in zip(self.whiten.lower, self.curvature.second, strict=True):
+                n, m = bend.shape[:2]
+                flat = bend.reshape(n, m * m)
+                white = solve_triangular(low, flat, lower=True, check_finite=False) if m else flat
+                self.bent.append(white.reshape(n, m, m))
+        return tuple(self.bent)
+
+    def change(self, parameter: Parameter, amplitude: float, others: Mapping[str, float]) -> Change:
+        """M (n, p) of an amplitude and its bend (n,), measured once; None where it is too small to matter."""
+        if self.curvature is None or abs(amplitude) < 0.02 * parameter.sigma**parameter.power:
+            return None
+        key = (parameter.name, tuple(sorted(others.items())))
+        if key not in self.mixed:
+            found, bend, count = curvature.mixed(self.problem, self.curvature, parameter, amplitude, others)
+            self.count.predictions += count
+            self.mixed[key] = curvature.spread_out(self.problem, self.curvature, found), bend
+        return self.mixed[key]
+
+
+def span(p: Parameter) -> float:
+    return float(max(p.grid) - min(p.grid))
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects with its parameters sorted out."""
+
+    effects: tuple[Effect, ...]
+
+    @property
+    def names(self) -> Effects:
+        return tuple(e.name for e in self.effects)
+
+    @property
+    def amplitudes(self) -> tuple[Parameter, ...]:
+        return tuple(p for e in self.effects for p in evidence.amplitudes(e))
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        return tuple(p for e in self.effects for p in evidence.shapes(e))
+
+    def terms(self) -> list[Term]:
+        """Integrals over amplitudes and shapes; columns: amplitudes, then shapes."""
+        out: list[tuple[list[tuple[int, float, int]], float, tuple[float, ...]]] = [([], 0.0, ())]
+        first = 0
+        for e in self.effects:
+            own = range(first, first + len(evidence.amplitudes(e)))
+            first += len(own)
+            out = [
+                (
+                    [*done, *evidence.entries(e, own, field_sigma)],
+                    log_w + more,
+                    fields if field_sigma is None else (*fields, field_sigma),
+                )
+                for done, log_w, fields in out
+                for field_sigma, more in evidence.field_grid(e)
+            ]
+        shape = [(first + i, span(p) / np.sqrt(2 * np.pi), 0) for i, p in enumerate(self.shapes)]
+        return [evidence.term([*done, *shape], log_w, fields) for done, log_w, fields in out]
+
+    def sigmas(self, fields: Sequence[float]) -> Array:
+        """Prior sigma of every amplitude's value, the population's in random fields."""
+        left = list(fields)
+        out: list[float] = []
+        for e in self.effects:
+            sigma = left.pop(0) if e.random_field else None
+            out += [p.sigma if sigma is None else sigma for p in evidence.amplitudes(e)]
+        return np.array(out)
+
+
+def values(problem: Problem, hypothesis: Hypothesis, point: Point) -> dict[str, float]:
+    """A point in the parameters' units."""
+    out = {p.name: float(x * p.sigma) for p, x in zip(problem.nuisances, point.nuisance, strict=True)}
+    for p, q in zip(hypothesis.amplitudes, point.amplitude, strict=True):
+        out[p.name] = float(max(q, 0.0) ** (1 / p.power)) if p.power > 1 else float(q)
+    out.update({p.name: float(s) for p, s in zip(hypothesis.shapes, point.shape, strict=True)})
+    for effect in hypothesis.effects:
+        out.update(evidence.fixed(effect))
+    return out
