@@ -40,7 +40,7 @@ IDLE = 1.5
 """The same for what was weighed about a good fit of fewer effects: that linearisation is the right one unless what is
 added is large, and then it is not behind."""
 
-LONE = 5
+LONE = 7
 """Refits, the null included, in which single effects are tried first where the null misses the data."""
 
 BORNE_OUT = 1.0
@@ -188,11 +188,11 @@ def _search(
     table = _Table(log_z, dict.fromkeys(log_z, ()))
     done: dict[Effects, Solved] = {(): null}
     while len(done) < refits:
-        best = max(s.fit.log_evidence for s in done.values())
+        best = _best(done)
         left = [e for e in table.log_z if e not in done]
         if len(done) >= FEWEST:
             left = [e for e in left if table.log_z[e] >= best - _margin(table, done, e)]
-        if len(done) <= LONE and all(refit.misses(context, s) for s in done.values()):
+        if len(done) <= LONE and all(refit.misses(context, s) or not s.fit.converged for s in done.values()):
             # Nothing fits yet: two effects at once would be sought from a point that is no place to start from.
             left = [e for e in left if len(e) == 1] or left
         if not left:
@@ -237,10 +237,15 @@ def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_
         log_z[effects] = max(log_z[effects], log_z[()] + z - far[()])
 
 
+def _best(done: Mapping[Effects, Solved]) -> float:
+    """ln Z of the best fit that converged: one that did not says nothing of what others could still reach."""
+    return max((s.fit.log_evidence for s in done.values() if s.fit.converged), default=-np.inf)
+
+
 def _margin(table: _Table, done: Mapping[Effects, Solved], effects: Effects) -> float:
     """How far behind the best a hypothesis may be and still has to be refitted."""
     source = done[table.source[effects]].fit
-    best = max(s.fit.log_evidence for s in done.values())
+    best = _best(done)
     near = source.converged and source.log_evidence > best - MATTERS
     return IDLE if near and set(source.effects) < set(effects) else MATTERS
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement, product
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from benchsim.bench.files import read
 from benchsim.bench.model import Camera, Exposure, Recording
 from benchsim.diagnosis.linear import Linear, columns, linearise, predict_all, whiten
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
+from benchsim.diagnosis.screen import Catalogue, expand
 
 Array = NDArray[np.float64]
 
@@ -111,23 +113,25 @@ class Sight:
 
     problem: Problem
     linear: Linear
-    whitened: Array
+    projector: Array
+    catalogue: Catalogue
+    columns: Array
 
     @classmethod
     def of(cls, problem: Problem) -> Sight:
-        """Of the whole catalogue, shapes at the middle of their range."""
-        every = tuple(p for e in problem.catalogue for p in amplitudes(e))
-        middle = {p.name: float(np.median(p.grid)) for e in problem.catalogue for p in e.parameters if p.grid}
-        linear = linearise(problem, middle, every)
+        """About the stated setting."""
+        linear = linearise(problem, {}, ())
         n = linear.nuisance
         # (1 + N Nᵀ)^(-1/2) applied by its projector: eigenvectors of N with 1/sqrt(1 + s²).
         u, s, _ = np.linalg.svd(n, full_matrices=False)
-        whitened = u * (1 - 1 / np.sqrt(1 + s**2))
-        return cls(problem, linear, np.stack([whitened, u]))
+        projector = np.stack([u * (1 - 1 / np.sqrt(1 + s**2)), u])
+        catalogue = expand(problem, {})
+        white = whiten(problem, problem.covariance, catalogue.columns)[0]
+        return cls(problem, linear, projector, catalogue, white - projector[0] @ (projector[1].T @ white))
 
     def through(self, whitened: Array) -> Array:
         """Whitened data with the nuisances marginalised: their norm is an SNR."""
-        w, u = self.whitened
+        w, u = self.projector
         return whitened - w @ (u.T @ whitened)
 
     def change(self, values: Mapping[str, float]) -> Array:
@@ -142,26 +146,24 @@ class Sight:
         return self.through(whiten(self.problem, self.problem.covariance, j)[0])[:, 0]
 
     def rival(self, delta: Array, own: tuple[str, ...]) -> tuple[str, float]:
-        """Nearest other single or pair that does not hold the truth, amplitudes and nuisances refitted [sigma]."""
-        names = {p.name: e.name for e in self.problem.catalogue for p in amplitudes(e)}
-        groups: dict[str, list[int]] = {}
-        for k, parameter in enumerate(self.linear.names):
-            groups.setdefault(names[parameter], []).append(k)
-        j = self.through(self.linear.effect)
-        best = ("", float(np.linalg.norm(delta)))
-        every = list(groups)
-        for i, a in enumerate(every):
-            for b in every[i:]:
-                members = {a, b}
-                if set(own) <= members:
-                    continue
-                cols = j[:, sorted({*groups[a], *groups[b]})]
-                scale = np.linalg.norm(cols, axis=0)
-                cols = cols[:, scale > 1e-9] / scale[scale > 1e-9]
-                rest = delta - cols @ np.linalg.lstsq(cols, delta, rcond=1e-9)[0] if cols.size else delta
-                distance = float(np.linalg.norm(rest))
+        """Nearest other single or pair without the truth, amplitudes, shapes and nuisances refitted [sigma].
+
+        Shapes at the nodes of their grids; amplitudes without their caps.
+        """
+        norm = np.linalg.norm(self.columns, axis=0)
+        unit = self.columns / np.where(norm > 1e-9, norm, 1.0)
+        gram, cross, whole = unit.T @ unit, unit.T @ delta, float(delta @ delta)
+        nodes = {e: [list(node.columns) for node in many] for e, many in self.catalogue.nodes.items()}
+        best = ("", float(np.sqrt(whole)))
+        for a, b in combinations_with_replacement(nodes, 2):
+            if set(own) <= {a, b}:
+                continue
+            for first, second in product(nodes[a], nodes[b] if b != a else [[]]):
+                at = [k for k in (*first, *second) if norm[k] > 1e-9]
+                size = np.linalg.lstsq(gram[np.ix_(at, at)], cross[at], rcond=1e-9)[0] if at else np.zeros(0)
+                distance = float(np.sqrt(max(whole - float(cross[at] @ size), 0.0)))
                 if distance < best[1]:
-                    best = ("+".join(sorted(members)), distance)
+                    best = ("+".join(sorted({a, b})), distance)
         return best
 
 
