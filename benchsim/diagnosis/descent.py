@@ -333,7 +333,8 @@ def _changes(context: Context, h: Hypothesis, theta: Array) -> list[Change]:
     for e in h.effects:
         others = {s.name: round(shapes[s.name], 2) for s in evidence.shapes(e)} | dict(evidence.fixed(e))
         for a in evidence.amplitudes(e):
-            out.append(context.change(a, float(theta[first]), others))
+            # What is there as a whole changes what the others do: measured alone, its M would be another's.
+            out.append(None if e.whole else context.change(a, float(theta[first]), others))
             first += 1
     return out
 

@@ -19,7 +19,7 @@ from benchsim.diagnosis import curvature, evidence, linear, noise, refit, screen
 from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, whitener
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, values, whitener
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.screen import Catalogue
@@ -300,6 +300,10 @@ def _refit(
         hold = not np.array_equal(begun.amplitude, plain.amplitude)
         points = [begun, plain] if hold else [plain]
         known = known if context.curvature is None else Known(context.curvature.first, np.zeros(p))
+        if hold and any(e.whole for e in h.effects):
+            nuisances = context.problem.nuisances
+            columns = context.columns(values(context.problem, h, begun), nuisances)
+            known = Known(columns * np.array([n.sigma for n in nuisances]), begun.nuisance)
     elif not own_effects:
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
         own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])
