@@ -19,6 +19,10 @@ from benchsim.diagnosis.result import Found, Location, Size
 
 NAMED_MARGIN, PROBABLE_MARGIN = 3.0, 0.0
 
+PATCH = 0.1
+"""Part of what the best function gains over the null that a name beside it has to add: less may make up for what a
+function of finite resolution, taken to first order, leaves of a large misfit."""
+
 MISSING = float(np.log(SURE / (1 - SURE)))
 """Δ ln Z at which a function without a name shows that something is missing."""
 
@@ -59,7 +63,10 @@ class Findings:
         """ln Z of the claim, with whatever function lies on it and then fits, over the best function alone."""
         if not self.free:
             return float("inf")
-        mine = max([self.log_evidence, *(a.log_evidence for a in self.more if self.together)])
+        alone, function = self.log_evidence, self.free[0].log_evidence
+        joint = max([alone, *(a.log_evidence for a in self.more if self.together)])
+        patch = joint - function < PATCH * (function - self.null_log_evidence)
+        mine = alone if patch else joint
         return mine - self.free[0].log_evidence
 
     @property

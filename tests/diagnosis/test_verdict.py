@@ -1,5 +1,7 @@
 """The rules of design 2.5, one by one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toy import toy
@@ -64,6 +66,13 @@ def test_a_name_with_a_function_on_top_is_compared_as_a_whole():
     both = findings(log_evidence=50.0, free=(70.0,), more=(90.0,))
     assert both.stands and both.margin == pytest.approx(20)
     assert both.something_left
+
+
+def test_a_name_that_only_mends_a_function_is_not_said():
+    """A large misfit that a function takes away to a thousandth: a name that takes the rest may be its coarseness."""
+    patch = findings(log_evidence=50.0, free=(1000.0,), more=(1020.0,))
+    assert not patch.stands and verdict(patch, HERE) == "located"
+    assert replace(findings(log_evidence=50.0, free=(70.0,), more=(90.0,)), together=False).margin == pytest.approx(-20)
 
 
 @pytest.mark.parametrize(
