@@ -16,19 +16,29 @@ from benchsim.bench.marks import MARKS_HEADER
 from benchsim.bench.model import Marks, Recording
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file under a temporary name, then move it into place, so that it is never half there."""
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file under a temporary name, then move it into place, so that it is never half there."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as out:
-            out.write(text)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
+        with os.fdopen(handle, "wb") as out:
+            out.write(data)
+        permit(Path(name), 0o666)
         os.replace(name, path)
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """`write_bytes` of a text in UTF-8."""
+    write_bytes(path, text.encode())
+
+
+def permit(path: Path, mode: int) -> None:
+    """Give a temporary file or folder, which only its owner may read, the mode that a new one would have."""
+    mask = os.umask(0)
+    os.umask(mask)
+    path.chmod(mode & ~mask)
 
 
 def write_marks(path: Path, marks: Marks) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import escape
@@ -11,7 +10,7 @@ from xml.sax.saxutils import escape
 from reportlab.lib.units import mm
 from reportlab.pdfgen.canvas import Canvas
 
-from benchsim.bench.writing import write_text
+from benchsim.bench.writing import write_bytes, write_text
 from benchsim.board.drawing import Drawing, Line, Words
 from benchsim.board.tiles import MARGIN, Tile
 
@@ -52,9 +51,7 @@ def write_pdf(path: Path, drawing: Drawing, pages: Sequence[Tile]) -> None:
         canvas.restoreState()
         canvas.showPage()
     canvas.save()
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_bytes(buffer.getvalue())
-    os.replace(temporary, path)
+    write_bytes(path, buffer.getvalue())
 
 
 def _shown(page: Tile, *points: tuple[float, float]) -> bool:

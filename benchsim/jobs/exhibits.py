@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from benchsim import rays, trace
 from benchsim.bench.model import Camera, Exposure, Recording
-from benchsim.bench.writing import write_text
+from benchsim.bench.writing import write_bytes, write_text
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench.chain import View
@@ -224,7 +224,7 @@ def _write(
             assert exposure.image is not None
             row["photograph"] = f"photographs/{number}.jpg"
             light = trace.read_image(recording.folder / exposure.image, recording.cameras[exposure.camera]).light
-            (folder / row["photograph"]).write_bytes(jpeg(np.asarray(light, float)))
+            write_bytes(folder / row["photograph"], jpeg(np.asarray(light, float)))
     write_text(folder / "page.json", json.dumps(extra, allow_nan=False) + "\n")
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import benchsim
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Recording
+from benchsim.bench.writing import permit
 
 STAMP = "benchsim.json"
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-image")
@@ -75,9 +76,7 @@ def output_folder(
         stamp = _stamp(command, inputs, options or {}, defaults)
         yield staging
         (staging / STAMP).write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
-        mask = os.umask(0)
-        os.umask(mask)
-        staging.chmod(0o777 & ~mask)
+        permit(staging, 0o777)
         _swap(staging, target)
     except OSError as error:
         # A full disk is told without a name.

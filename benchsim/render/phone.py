@@ -6,8 +6,7 @@ of the board alone, for a calibration, come with the pictures of the bench.
 
 from __future__ import annotations
 
-import os
-import tempfile
+import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -22,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Laser, Recording
 from benchsim.bench.place import Placement, SettingErrors, camera_pose, place
+from benchsim.bench.writing import write_bytes
 from benchsim.render.irradiance import ScreenMap, irradiance
 from benchsim.render.picture import Picture, Pose, photograph
 from benchsim.render.recording import draw_cameras, draw_errors, draw_laser, draw_pose
@@ -256,14 +256,6 @@ def _write(path: Path, counts: Counts, stated: Camera, time: float, orientation:
     own[0x920A] = round(5.6 / 26.0 * stated.focal / across * DIAGONAL_35MM, 2)
     own[0xA405] = round(stated.focal / across * DIAGONAL_35MM)
     own[0xA001], own[0xA404] = 1, 1.0
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-", suffix=".jpg")
-    try:
-        with os.fdopen(handle, "wb") as out:
-            Pillow.fromarray(counts).save(out, "JPEG", quality=quality, subsampling="4:2:0", exif=exif)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    picture = io.BytesIO()
+    Pillow.fromarray(counts).save(picture, "JPEG", quality=quality, subsampling="4:2:0", exif=exif)
+    write_bytes(path, picture.getvalue())

@@ -8,8 +8,6 @@ Exposure, as ``[render]`` states it: the brightest point of the laser's line, wi
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +22,7 @@ from scipy.special import gammaincinv, ndtr
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field
 from benchsim.bench.model import Camera, RenderOptions
+from benchsim.bench.writing import write_bytes
 from benchsim.render.charge import carry, displaced, spill
 from benchsim.render.picture import Picture
 
@@ -247,18 +246,6 @@ def write_image(path: str | Path, counts: Counts, *, jpeg_quality: int = 90) -> 
     if not good:
         raise BenchsimError(f"{path.name}: the image could not be encoded")
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
+        write_bytes(path, data.tobytes())
     except OSError as error:
         raise BenchsimError(f"{path}: cannot be written ({error.strerror}); choose another folder") from None
-    try:
-        with os.fdopen(handle, "wb") as out:
-            out.write(data.tobytes())
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
-        os.replace(name, path)
-    except BaseException as error:
-        Path(name).unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise BenchsimError(f"{path}: cannot be written ({error.strerror}); choose another folder") from None
-        raise

@@ -6,7 +6,7 @@ are made without pyplot's global state.
 
 from __future__ import annotations
 
-import os
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +19,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
+
+from benchsim.bench.writing import write_bytes
 
 Array = NDArray[np.float64]
 
@@ -50,9 +52,9 @@ class Trace2D:
 
 
 def _save(figure: Figure, path: Path, dpi: int = 130) -> None:
-    temporary = path.with_name(f".{path.name}")
-    figure.savefig(temporary, dpi=dpi, format="png", facecolor="white")
-    os.replace(temporary, path)
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=dpi, format="png", facecolor="white")
+    write_bytes(path, picture.getvalue())
 
 
 def _plain(axes: Axes) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.writing import permit
 
 Each = Callable[[Callable[..., Any], Sequence[tuple[Any, ...]]], Iterator[tuple[int, Any]]]
 """each(function, tasks) yields (index of the task, result or the exception that ended it) as they come."""
@@ -43,9 +44,7 @@ def beside(target: Path) -> Iterator[Path]:
     staging = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}-"))
     try:
         yield staging
-        mask = os.umask(0)
-        os.umask(mask)
-        staging.chmod(0o777 & ~mask)
+        permit(staging, 0o777)
         try:
             os.rename(staging, target)
         except OSError:
