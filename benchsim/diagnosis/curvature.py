@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.linear import predictions, whiten
+from benchsim.diagnosis.linear import predictions, value_of, whiten
 from benchsim.diagnosis.problem import Parameter, Problem
 
 Array = NDArray[np.float64]
@@ -152,7 +152,7 @@ def mixed(
     """
 
     def with_amplitude(q: float) -> dict[str, float]:
-        return {**others, parameter.name: q ** (1 / parameter.power) if parameter.power > 1 else q}
+        return {**others, parameter.name: value_of(parameter, q)}
 
     on = with_amplitude(amplitude)
     tasks = [(b, i) for b in range(len(problem.names)) for i in (-2, -1)]

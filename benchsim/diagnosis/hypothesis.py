@@ -101,6 +101,11 @@ class Context:
         steps = {p.name: 0.02 * span(p) for p in parameters if p.grid}
         return linear.columns(self.problem, at, tuple(parameters), steps)
 
+    def nuisance_columns(self, at: Mapping[str, float]) -> Array:
+        """`columns` of all nuisances, per prior sigma."""
+        nuisances = self.problem.nuisances
+        return self.columns(at, nuisances) * np.array([n.sigma for n in nuisances])
+
     def predict(self, at: Mapping[str, float]) -> Array:
         """`linear.predict_all`, counted."""
         self.count.predictions += len(self.problem.names)
@@ -183,7 +188,7 @@ def values(problem: Problem, hypothesis: Hypothesis, point: Point) -> dict[str, 
     """A point in the parameters' units."""
     out = {p.name: float(x * p.sigma) for p, x in zip(problem.nuisances, point.nuisance, strict=True)}
     for p, q in zip(hypothesis.amplitudes, point.amplitude, strict=True):
-        out[p.name] = float(max(q, 0.0) ** (1 / p.power)) if p.power > 1 else float(q)
+        out[p.name] = linear.value_of(p, q)
     out.update({p.name: float(s) for p, s in zip(hypothesis.shapes, point.shape, strict=True)})
     for effect in hypothesis.effects:
         out.update(evidence.fixed(effect))

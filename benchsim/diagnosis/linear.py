@@ -132,6 +132,11 @@ def fit_value(parameter: Parameter, value: float) -> float:
     return value**parameter.power
 
 
+def value_of(parameter: Parameter, fit: float) -> float:
+    """The value of a number that the data respond to; what has a power is never below 0."""
+    return float(max(fit, 0.0) ** (1 / parameter.power)) if parameter.power > 1 else float(fit)
+
+
 def columns(
     problem: Problem, at: Values, parameters: tuple[Parameter, ...], steps: Mapping[str, float] | None = None
 ) -> Array:
@@ -170,7 +175,7 @@ def columns_at(
                 ends = (0.0, 2 * step)
             for b in range(len(problem.names)) if p.blocks is None else p.blocks:
                 for end, sign in zip(ends, (-1.0, 1.0), strict=True):
-                    values.append({**at, p.name: end ** (1.0 / p.power) if p.power > 1 else end})
+                    values.append({**at, p.name: value_of(p, end)})
                     blocks.append(b)
                     tasks.append((i, k, b, sign, ends[1] - ends[0]))
     out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]

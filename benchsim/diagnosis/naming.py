@@ -223,15 +223,10 @@ def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_
     errors of linearisation are some sigma, which such noise covers: what stands out of it is found however far the null
     went. A hypothesis keeps the better of its two weights; if that is too good its refit will show it.
     """
-    problem, about = context.problem, context.curvature
-    if about is None:
+    if context.curvature is None:
         return
-    residual = problem.data - np.concatenate(about.plain)
-    columns = context.whiten(np.column_stack([residual, about.first])) / starts.AFAR
-    scaled = np.array([n.scaled for n in problem.nuisances], bool)
-    p = columns.shape[1]
-    empty = np.zeros((len(residual), 0))
-    lin = Linear(columns[:, 0], columns[:, 1:p], scaled, empty, (), problem.block, 0.0)
+    residual = context.problem.data - np.concatenate(context.curvature.plain)
+    lin = starts.from_afar(context, context.curvature, residual[:, None])
     far = screen.screen(lin, catalogue, white / starts.AFAR, context.scales, context.weights)
     for effects, z in far.items():
         log_z[effects] = max(log_z[effects], log_z[()] + z - far[()])
@@ -301,9 +296,7 @@ def _refit(
         points = [begun, plain] if hold else [plain]
         known = known if context.curvature is None else Known(context.curvature.first, np.zeros(p))
         if hold and any(e.whole for e in h.effects):
-            nuisances = context.problem.nuisances
-            columns = context.columns(values(context.problem, h, begun), nuisances)
-            known = Known(columns * np.array([n.sigma for n in nuisances]), begun.nuisance)
+            known = Known(context.nuisance_columns(values(context.problem, h, begun)), begun.nuisance)
     elif not own_effects:
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
         own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])

@@ -90,8 +90,7 @@ def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: 
     stated = context.whiten(known.columns @ step / unit)
     if np.linalg.norm(wrong) <= AGREE * max(float(np.linalg.norm(stated)), 1.0):
         return known
-    columns = context.columns(at, nuisances) * np.array([n.sigma for n in nuisances])
-    return Known(columns, theta[:p].copy(), sizes_of(context, h, theta))
+    return Known(context.nuisance_columns(at), theta[:p].copy(), sizes_of(context, h, theta))
 
 
 def about(context: Context, h: Hypothesis, point: Point, residual: Array, known: Known, own: Array) -> Linear:

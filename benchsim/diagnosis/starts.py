@@ -8,6 +8,7 @@ plausible range of the amplitudes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, linear, screen, settings
+from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.fits import Effects
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Solved
 from benchsim.diagnosis.linear import Linear
-from benchsim.diagnosis.problem import Effect, Parameter
+from benchsim.diagnosis.problem import Effect
 from benchsim.diagnosis.screen import Catalogue
 
 Array = NDArray[np.float64]
@@ -55,15 +57,21 @@ def scanned(context: Context, h: Hypothesis, source: Solved, amplitude: Array) -
             continue
         axes = [np.array(SCANNED if evidence.kind(a) else (*(-x for x in SCANNED[:0:-1]), *SCANNED)) for a in own]
         points = [q * np.array([a.sigma**a.power for a in own]) for q in map(np.array, product(*axes))]
-        values = [{**at, **evidence.fixed(e), **_values(own, q)} for q in points]
+        values = [
+            {**at, **evidence.fixed(e), **{a.name: linear.value_of(a, x) for a, x in zip(own, q, strict=True)}}
+            for q in points
+        ]
         cost = misfits(context, values)
         cost += [float(sum((x / a.sigma**a.power) ** 2 for a, x in zip(own, q, strict=True))) for q in points]
         out[mine] = points[int(np.argmin(cost))]
     return out
 
 
-def _values(own: Sequence[Parameter], q: Array) -> dict[str, float]:
-    return {a.name: float(x ** (1 / a.power)) if a.power > 1 else float(x) for a, x in zip(own, q, strict=True)}
+def from_afar(context: Context, about: Curvature, residuals: Array) -> Linear:
+    """About the stated settings, with noise `AFAR` times larger; the first of residuals (n, m), and all as effects."""
+    scaled = np.array([n.scaled for n in context.problem.nuisances], bool)
+    white, nuisance = context.whiten(residuals) / AFAR, context.whiten(about.first) / AFAR
+    return Linear(white[:, 0], nuisance, scaled, white, (), context.problem.block, 0.0)
 
 
 def misfits(context: Context, values: Sequence[Mapping[str, float]]) -> Array:
@@ -77,12 +85,10 @@ def misfits(context: Context, values: Sequence[Mapping[str, float]]) -> Array:
     blocks = range(len(problem.names))
     found = linear.predictions(problem, [v for v in values for _ in blocks], [b for _ in values for b in blocks])
     each = [np.concatenate(found[i : i + len(blocks)]) for i in range(0, len(found), len(blocks))]
-    residual = np.nan_to_num(context.whiten(problem.data[:, None] - np.column_stack(each)), nan=1e6) / AFAR
-    scaled = np.array([n.scaled for n in problem.nuisances], bool)
-    nuisance = context.whiten(about.first) / AFAR
-    plain = Linear(residual[:, 0], nuisance, scaled, residual[:, :0], (), problem.block, 0.0)
+    far = from_afar(context, about, problem.data[:, None] - np.column_stack(each))
+    white = np.nan_to_num(far.effect, nan=1e6 / AFAR)
     middle = float(context.scales[len(context.scales) // 2])
-    return np.array(np.diag(linear.marginal(plain, residual, middle).gram))
+    return np.array(np.diag(linear.marginal(replace(far, residual=white[:, 0]), white, middle).gram))
 
 
 def together(context: Context) -> Effects:

@@ -66,8 +66,7 @@ class Findings:
         alone, function = self.log_evidence, self.free[0].log_evidence
         joint = max([alone, *(a.log_evidence for a in self.more if self.together)])
         patch = joint - function < PATCH * (function - self.null_log_evidence)
-        mine = alone if patch else joint
-        return mine - self.free[0].log_evidence
+        return (alone if patch else joint) - function
 
     @property
     def stands(self) -> bool:
