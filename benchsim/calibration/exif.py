@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 _IFD = 0x8769
 _TAGS = {
@@ -19,14 +20,19 @@ _TAGS = {
 not move: another number is another lens."""
 
 
+def directories(path: Path) -> tuple[dict[int, Any], dict[int, Any]]:
+    """EXIF's first directory and its own one; empty where there is none or it cannot be read."""
+    try:
+        with Image.open(path) as picture:
+            exif = picture.getexif()
+            return dict(exif), dict(exif.get_ifd(_IFD))
+    except (OSError, ValueError, SyntaxError, TypeError, KeyError, Image.DecompressionBombError):
+        return {}, {}
+
+
 def lens_tags(path: Path) -> dict[str, str]:
     """Tags that change with the lens, as words; empty where the picture carries none."""
-    try:
-        with Image.open(path) as image:
-            tags = image.getexif().get_ifd(_IFD)
-    except (OSError, UnidentifiedImageError, ValueError, SyntaxError):
-        return {}
-    out = {}
+    tags, out = directories(path)[1], {}
     for name, (number, unit) in _TAGS.items():
         if number not in tags:
             continue

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
+from benchsim.calibration.exif import directories
 from benchsim.trace.image import read_counts
 
 SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".heic", ".heif", ".avif"}
@@ -21,8 +21,6 @@ DIAGONAL_35MM = 43.27
 
 UPRIGHT = {1: "as the sensor has it", 3: "turned by 180°", 6: "phone upright", 8: "phone upright, head down"}
 """EXIF's orientations that are turns; the others are mirrored."""
-
-_EXIF = 0x8769
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def read_photo(path: Path) -> tuple[Photo, NDArray]:
     """
     counts, lossy = read_counts(path)
     h, w = counts.shape[:2]
-    tags, own = _tags(path)
+    tags, own = directories(path)
     return (
         Photo(
             path=path,
@@ -109,16 +107,6 @@ def read_photo(path: Path) -> tuple[Photo, NDArray]:
         ),
         counts,
     )
-
-
-def _tags(path: Path) -> tuple[Any, Any]:
-    """EXIF's first directory and its own one; empty where there is none or it cannot be read."""
-    try:
-        with Image.open(path) as picture:
-            exif = picture.getexif()
-            return dict(exif), dict(exif.get_ifd(_EXIF))
-    except (OSError, ValueError, SyntaxError, TypeError, KeyError, Image.DecompressionBombError):
-        return {}, {}
 
 
 def _number(value: Any) -> float | None:

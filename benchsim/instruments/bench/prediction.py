@@ -118,8 +118,6 @@ class Predict:
         Parameters that have no effect on their own.
     aside : frozenset of str
         Parameters that do not bear on the light before the board.
-    samples : int
-        Points of the curve.
     """
 
     recording: Recording
@@ -127,7 +125,6 @@ class Predict:
     owners: Mapping[str, str]
     shapes: frozenset[str]
     aside: frozenset[str]
-    samples: int = SAMPLES
     cache: dict[Any, Curve] = field(default_factory=dict, compare=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
