@@ -23,6 +23,9 @@ ALLOWED = {
     "render": {"bench"},
     "report": {"bench", "calibration", "diagnosis", "rays", "trace", "conics", "vector"},
     "instruments": {"bench", "diagnosis", "rays", "trace", "conics", "vector"},
+    "detectors": {"bench", "vector"},
+    "drone": {"bench", "render"},
+    "flux": {"bench", "vector", "instruments", "render"},
     "jobs": {
         "bench",
         "board",

@@ -1,0 +1,1 @@
+"""Detector arrays around the receiver: heliostats told apart by the rates at which their prisms turn."""

@@ -1,0 +1,1 @@
+"""Flux on a target under drift: error-function product and Monte Carlo."""
