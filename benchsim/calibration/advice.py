@@ -197,7 +197,7 @@ def _information(bundle: Bundle, corners: Array, pose: Array) -> Array | None:
     if inside.sum() < FEWEST_MARKS:
         return None
     noise = float(np.median(bundle.rms))
-    by = np.concatenate([by, spreading(pixels)[..., None]], axis=-1)[inside].reshape(-1, SHARED + 2 + OWN) / noise
+    by = np.concatenate([by, spreading(pixels)], axis=-1)[inside].reshape(-1, SHARED + 2 + OWN) / noise
     by[:, 10:13] /= size  # bow and twist in mm, as in the bundle's covariance
     shared, own = by[:, :SHARED], by[:, SHARED + 2 :]
     return shared.T @ (shared - own @ np.linalg.lstsq(own, shared, rcond=None)[0])

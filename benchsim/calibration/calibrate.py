@@ -243,7 +243,7 @@ def _tone(bundle: Bundle, views: Sequence[MarkObservations]) -> float:
     Ink that spreads is taken for a tone curve; what is left of either is each view's ``spread``.
     """
     blur = np.array([float(np.median(v.blur)) for v in views])
-    return float(np.clip(GUESSED_GAMMA - np.median(bundle.spread / blur) / SPREAD_PER_GAMMA, *GAMMA_RANGE))
+    return float(np.clip(GUESSED_GAMMA - np.median(bundle.spread[:, 0] / blur) / SPREAD_PER_GAMMA, *GAMMA_RANGE))
 
 
 def _how_it_is_known(moved: Change, bundle: Bundle, names: Sequence[str]) -> str:

@@ -3,8 +3,9 @@
 Unknown are the focal length, the principal point and the five coefficients of Brown's distortion; six numbers of a pose
 for every view; and of the board what a printer and a wall never make as the table says: how much longer it is along y
 than along z, how much its axes lean, its height over its plane, quadratic in y and z, and the place of every single
-mark. One number more for every view is by how much black has spread over white: a tone curve that is not known, a
-slight overexposure and ink all move the edges of every mark outward by the same.
+mark. Three numbers more for every view are by how much black has spread over white: a tone curve that is not known, a
+slight overexposure and ink all move the edges of a mark outward alike, but more where there is less light, and a lamp
+beside the board lights it unevenly.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ mark's distance from the centre along an axis."""
 SHARED = len(LENS) + len(BOARD)
 """Parameters that all views share, besides the marks' places."""
 
-OWN = 7
-"""Parameters of a view: rotation vector, translation [mm], spread [px]."""
+OWN = 9
+"""Parameters of a view: rotation vector, translation [mm], and of the spread [px] the three of `spreading`."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class State:
         How far the marks lie from where they were meant, along y and z.
     poses : (v, 6)
         Rotation vector and translation [mm] of the points (y, −z, −x) into the frame of every view's camera.
-    spread : (v,) px
+    spread : (v, 3) px
     """
 
     lens: Array
@@ -65,7 +66,7 @@ class State:
         """With values from such a row."""
         m = SHARED + self.places.size
         views = x[m:].reshape(-1, OWN)
-        return State(x[:8], x[8:SHARED], x[SHARED:m].reshape(-1, 2), views[:, :6], views[:, 6])
+        return State(x[:8], x[8:SHARED], x[SHARED:m].reshape(-1, 2), views[:, :6], views[:, 6:])
 
 
 def points(board: Array, at: Array, size: float) -> tuple[Array, Array]:
@@ -117,17 +118,25 @@ def project(lens: Array, board: Array, pose: Array, at: Array, size: float) -> t
 def predict(state: State, view: MarkObservations, index: NDArray[np.intp], k: int, size: float) -> tuple[Array, Array]:
     """Pixels (n, 4, 2) at which the corners of view ``k`` should stand.
 
-    Their derivatives (n, 4, 2, 22) are by lens, board, the own mark's place, pose and spread; ``index`` (n,) says which
+    Their derivatives (n, 4, 2, 24) are by lens, board, the own mark's place, pose and spread; ``index`` (n,) says which
     row of ``state.places`` is a mark's.
     """
     at = view.board + state.places[index][:, None]
     pixels, by = project(state.lens, state.board, state.poses[k], at, size)
     outward = spreading(view.corners)
-    return pixels + state.spread[k] * outward, np.concatenate([by, outward[..., None]], axis=-1)
+    return pixels + outward @ state.spread[k], np.concatenate([by, outward], axis=-1)
 
 
 def spreading(corners: Array) -> Array:
-    """How corners (n, 4, 2) move when all edges of their marks move outward by one pixel."""
+    """How corners (n, 4, 2) move by the three numbers of a view's spread, (n, 4, 2, 3).
+
+    All edges move outward by one pixel; or by what they lie to the right of the marks' middle, or below it, in units of
+    the marks' extent.
+    """
     run = np.roll(corners, -1, axis=1) - corners
     _, by_edge = intersections(corners, run / np.linalg.norm(run, axis=-1, keepdims=True))
-    return by_edge.sum(axis=-1)
+    reach = np.ptp(corners.reshape(-1, 2), axis=0)
+    aside = (corners + run / 2 - corners.mean(axis=(0, 1))) / reach.max()
+    how = np.concatenate([np.ones((*corners.shape[:2], 1)), aside], axis=-1)
+    # Corner k is where edges k - 1 and k meet.
+    return by_edge @ np.stack([np.roll(how, 1, axis=1), how], axis=2)

@@ -61,8 +61,9 @@ class Bundle:
         In the order of `LENS` and `BOARD`.
     poses : (v, 6)
         Rotation vector and translation [mm] of every view: of the points (y, −z, −x) into the camera's frame.
-    spread : (v,) px
-        By how much the edges of the marks have moved outward.
+    spread : (v, 3) px
+        By how much the edges of the marks have moved outward: in their middle, and how much more they have over the
+        marks' extent to the right and downward.
     ids : (m,) int
         Marks seen in any view.
     places, places_sigma : (m, 2) mm
@@ -77,7 +78,7 @@ class Bundle:
         Measured corners less predicted ones.
     scale : (v,)
         χ² per degree of freedom of every view: by how much its corners' covariance was too small.
-    misfit, slope : (r,), (r, 13 + 2 m + 7 v)
+    misfit, slope : (r,), (r, 13 + 2 m + 9 v)
         Whitened residuals (predicted less measured) of all views and priors, and their derivatives in the order of
         `State.flat`: for what is tested or added later.
     rows : tuple of slice
@@ -300,7 +301,7 @@ class _Problem:
         )
         poses = np.array([np.concatenate([np.ravel(r), np.ravel(t)]) for r, t in zip(turns, shifts, strict=True)])
         lens = np.concatenate([[matrix[0, 0], matrix[0, 2], matrix[1, 2]], np.ravel(distortion)[:5]])
-        state = State(lens, np.zeros(len(BOARD)), np.zeros((len(self.ids), 2)), poses, np.zeros(len(self.views)))
+        state = State(lens, np.zeros(len(BOARD)), np.zeros((len(self.ids), 2)), poses, np.zeros((len(self.views), 3)))
         used = []
         for k, view in enumerate(self.views):
             # This first lens leaves the picture's corners some pixels off.

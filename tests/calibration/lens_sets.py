@@ -33,7 +33,7 @@ def poses(rng, count=8, tilt=(15, 45), distance=(480, 750)):
 
 
 def views(
-    rng, poses, *, lens=LENS, shape=(0, 0, 0, 0, 0), places=None, spread=0.0, focal=None, point=None, noise=NOISE
+    rng, poses, *, lens=LENS, shape=(0, 0, 0, 0, 0), places=None, spread=(0, 0, 0), focal=None, point=None, noise=NOISE
 ):
     """Observations of a set. ``shape``: the board's five, bows in mm; ``focal``, ``point``: of every view its own."""
     marks = board()
@@ -47,8 +47,9 @@ def views(
         own[0] *= 1.0 if focal is None else focal[k]
         own[1:3] += 0.0 if point is None else point[k]
         pixels, _ = project(own, shape, pose, moved, size)
-        pixels = pixels + spread * spreading(pixels)
         inside = ((pixels > 5) & (pixels < np.array(SIZE) - 6)).all(axis=(1, 2))
+        pixels = pixels[inside]
+        pixels = pixels + spreading(pixels) @ np.array(spread, float)
         n = int(inside.sum())
         # Corners of a mark share edges: neighbours are correlated.
         joint = noise**2 * (np.eye(8) + 0.3 * (np.roll(np.eye(8), 2, axis=0) + np.roll(np.eye(8), -2, axis=0)))
@@ -58,7 +59,7 @@ def views(
             MarkObservations(
                 name=f"{k:02d}.jpg",
                 ids=np.array(marks.ids)[inside],
-                corners=pixels[inside] + error,
+                corners=pixels + error,
                 covariance=np.stack([blocks[:, 2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in range(4)], axis=1),
                 joint=blocks,
                 board=meant[inside],
