@@ -37,6 +37,9 @@ TILE = 32
 DIM = 0.3
 """Tiles whose brightest laser light is below this share of the brightest of all are not of the line."""
 
+FLANK = 5
+"""Beside what is saturated, the line's flanks [px]."""
+
 _CHANNELS = ("blue", "green", "red")
 _SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
 _HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1", b"avif")
@@ -282,9 +285,33 @@ def _choose(light: dict[str, Image], saturated: dict[str, Mask]) -> tuple[str, s
         for_trace[c] = _information(_steps(laser[c]), noise[c], good & lit)
         for_marks[c] = _information(_steps(light[c]), noise[c], good & ~lit)
     marks = max(for_marks, key=for_marks.__getitem__)
-    clear = [c for c in for_trace if for_trace[c] > 0 and not _flooded(laser[c], saturated[c])]
-    trace = max(clear or for_trace, key=for_trace.__getitem__)
-    return (trace if for_trace[trace] > 0 else marks), marks
+    strongest = max(for_trace, key=for_trace.__getitem__)
+    if for_trace[strongest] == 0:
+        return marks, marks
+    if not _flooded(laser[strongest], saturated[strongest]):
+        return strongest, marks
+    # What the weakest channel sees of the laser counts as room light above: of the faint ones the steps are compared.
+    shown = {
+        c: _response(light[c], light[strongest], saturated[strongest], noise[strongest]) / noise[c]
+        for c in light
+        if c != strongest and not _flooded(laser[strongest], saturated[c])
+    }
+    crest = float(laser[strongest][saturated[strongest]].max())
+    shown = {c: x for c, x in shown.items() if x * crest > FALSE_ALARM_SIGMA}
+    return max(shown, key=shown.__getitem__, default=strongest), marks
+
+
+def _response(light: Image, reference: Image, saturated: Mask, noise: float) -> float:
+    """Laser light of a channel, in units of what another one has of it: median ratio of their steps on its flanks."""
+    ratios = []
+    # Whichever way the line runs.
+    for one, other, clipped in ((light, reference, saturated), (light.T, reference.T, saturated.T)):
+        steps, by, clipped = _steps(one), _steps(other), clipped[::4]
+        flank = ~clipped & (cv2.dilate(clipped.astype(np.uint8), np.ones((1, 2 * FLANK + 1), np.uint8)) > 0)
+        use = flank[:, 1:] & flank[:, :-1] & (np.abs(by) > FALSE_ALARM_SIGMA * noise)
+        ratios.append(steps[use] / by[use])
+    every = np.concatenate(ratios)
+    return float(np.median(every)) if every.size else 0.0
 
 
 def _flooded(laser: Image, saturated: Mask) -> bool:

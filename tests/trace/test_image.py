@@ -122,6 +122,22 @@ def test_a_channel_saturated_all_along_the_line_is_left(tmp_path):
     assert mixed.channel == "red" and mixed.saturated.any()
 
 
+@pytest.mark.parametrize("along", ["column", "row"])
+def test_of_two_faint_channels_the_one_with_more_laser_light_is_taken(tmp_path, along):
+    """Rationale: under a lamp with little blue the blue channel sees, relative to the room, more of a red laser than
+    green does; in units of its noise it sees a half. Red is flooded, so green is asked for, whichever way the line
+    runs."""
+    lamp = (0.2, 1.0, 1.0)
+    picture = colour(3.0, 0.4, room=lamp)
+    picture[..., 0] += 0.5 * (picture[..., 1] - colour(0.0, 0.0, room=lamp)[..., 1])
+    picture = np.concatenate([picture, colour(0.0, 0.0, room=lamp, seed=2)], axis=1)
+    cam = replace(camera(bit_depth=8, saturation_level=255.0), resolution=(2 * W, H))
+    if along == "row":
+        picture, cam = picture.transpose(1, 0, 2), replace(cam, resolution=(H, 2 * W))
+    seen = read_image(save(tmp_path / "a.png", counts(picture, 8)), cam)
+    assert seen.channel == "green" and not seen.saturated.any()
+
+
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_pixels_are_the_sensors_whatever_exif_says(tmp_path, orientation):
     from PIL import Image
