@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
@@ -206,16 +207,16 @@ def turned(pose: Pose, angles: list[float]) -> Pose:
     return turn @ pose[0], turn @ pose[1]
 
 
-def tone(signal: Image, phone: Phone) -> Image:
-    """What the phone makes of light, both as fractions of their range: sRGB's curve, contrast, sharpening."""
-    s = np.clip(signal, 0, 1)
+def tone(counts: Counts, phone: Phone) -> Image:
+    """What the phone makes of a linear sensor's counts of 16 bits, 0 … 1: sRGB's curve, contrast, sharpening."""
+    s = np.linspace(0, 1, 2**16)
     # IEC 61966-2-1.
-    y = np.where(s <= 0.0031308, 12.92 * s, 1.055 * s ** np.float32(1 / 2.4) - 0.055)
-    y = y - np.float32(phone.contrast) * np.sin(2 * np.pi * y)
-    for channel in range(y.shape[2]):
-        plane = y[..., channel]
-        plane += np.float32(phone.sharpening) * (plane - gaussian_filter(plane, 1.0))
-    return np.clip(y, 0, 1).astype(np.float32)
+    curve = np.where(s <= 0.0031308, 12.92 * s, 1.055 * s ** (1 / 2.4) - 0.055)
+    curve = (curve - phone.contrast * np.sin(2 * np.pi * curve)).astype(np.float32)
+    y = curve[counts]
+    if phone.sharpening:
+        y += np.float32(phone.sharpening) * (y - cv2.GaussianBlur(y, (9, 9), 1.0))
+    return np.clip(y, 0, 1)
 
 
 def _developed(
@@ -228,8 +229,7 @@ def _developed(
     lit = arrived(light, recording.render, rng)
     room = light.room * (fall / fall[h // 2, w // 2]).astype(np.float32)
     planes = [develop(room + np.float32(share) * lit, sensor, recording.render, rng) for share in RED_LASER]
-    linear = np.stack(planes, axis=-1).astype(np.float32) / np.float32(65535)
-    return np.rint(255 * tone(linear, phone)).astype(np.uint8)
+    return np.rint(255 * tone(np.stack(planes, axis=-1), phone)).astype(np.uint8)
 
 
 def _view(camera: Camera, index: int, rng: np.random.Generator) -> Pose:

@@ -224,6 +224,9 @@ def _curve(camera: Camera) -> float | str:
 
 def _linear(counts: NDArray, camera: Camera) -> Image:
     """Light ∝ radiance; odd about black, so that noise below black stays noise."""
+    if counts.size > 2**16:
+        # Counts are few, pixels many.
+        return _linear(np.arange(np.iinfo(counts.dtype).max + 1, dtype=counts.dtype), camera)[counts]
     above = counts.astype(np.float32)
     if camera.black_level:
         above -= np.float32(camera.black_level)
@@ -244,6 +247,8 @@ def _light_per_count(counts: NDArray, camera: Camera) -> Image:
     gamma = _curve(camera)
     if gamma == 1.0:
         return np.ones((), np.float32)
+    if counts.size > 2**16:
+        return _light_per_count(np.arange(np.iinfo(counts.dtype).max + 1, dtype=counts.dtype), camera)[counts]
     full = camera.saturation_level - camera.black_level
     # Half a count above black: a power's slope vanishes or diverges at black itself.
     x = np.maximum(np.abs(counts.astype(np.float32) - np.float32(camera.black_level)), 0.5) / np.float32(full)

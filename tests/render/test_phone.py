@@ -88,7 +88,7 @@ def test_the_reader_finds_the_motion_that_was_put_in(taken, bench):
 
 
 def test_the_tone_curve_rises_and_keeps_black_and_white():
-    ramp = np.repeat(np.linspace(0, 1, 500, dtype=np.float32)[None, :, None], 3, axis=2)
+    ramp = np.repeat(np.linspace(0, 65535, 500).astype(np.uint16)[None, :, None], 3, axis=2)
     y = tone(ramp, Phone(sharpening=0.0))[0, :, 0]
     assert y[0] == 0 and y[-1] == pytest.approx(1, abs=1e-6) and np.all(np.diff(y) > 0)
 
