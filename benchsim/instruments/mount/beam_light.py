@@ -6,6 +6,7 @@ Works on a map of light on the target's plane, in the map's own pixels (column, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 from benchsim.bench.errors import BenchsimError
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]
+"""float32; OpenCV's type stubs know no dtype."""
 Mask = NDArray[np.bool_]
 
 CONTOUR = 0.05
@@ -172,10 +174,10 @@ def _background(image: Image, valid: Mask, order: int) -> tuple[Image, Mask]:
     grow = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     for _ in range(4):
         off = coarse - (_fit(coarse, free, terms) @ terms).reshape(coarse.shape)
-        smooth = cv2.GaussianBlur(off, (0, 0), 1.0)
+        smooth = np.asarray(cv2.GaussianBlur(off, (0, 0), 1.0), float)
         below = smooth[free & (smooth < 0)]
-        bright = (smooth > 3 * 1.4826 * float(np.median(np.abs(below)))).astype(np.uint8)
-        bright = cv2.morphologyEx(bright, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        above = (smooth > 3 * 1.4826 * float(np.median(np.abs(below)))).astype(np.uint8)
+        bright = cv2.morphologyEx(above, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         new = shows & (cv2.dilate(bright, grow) == 0)
         if new.sum() < 0.1 * shows.sum():
             raise BenchsimError("the beam leaves less than a tenth of the target dark; photograph a smaller beam")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 from benchsim.bench.errors import BenchsimError
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]
+"""float32; OpenCV's type stubs know no dtype."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def reference_point(image: Image, name: str) -> tuple[NDArray[np.bool_], float, 
         There is no mark.
     """
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
-    grey = cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    grey = np.interp(smooth, (smooth.min(), smooth.max()), (0, 255)).astype(np.uint8)
     _, dark = cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY_INV | cv2.THRESH_OTSU)
     count, label, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=4)
     if count < 2:

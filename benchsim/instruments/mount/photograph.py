@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,11 +25,13 @@ from benchsim.instruments.mount.target_marks import (
     Marks,
     find_marks,
     homography_jacobian,
+    inverse,
     to_plane,
 )
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]
+"""float32; OpenCV's type stubs know no dtype."""
 
 UPPER, LOWER, MFT = "solar_tower_juelich_upper", "solar_tower_juelich_lower", "multi_focus_tower"
 TOWER_MARKS = {
@@ -64,6 +67,31 @@ CORNERS = ("upper_left", "upper_right", "lower_left", "lower_right")
 
 
 @dataclass(frozen=True)
+class Plane:
+    """A target's plane.
+
+    Attributes
+    ----------
+    place : (3,)
+        The plant's reference: latitude, longitude [deg], height [m].
+    origin : (3,) mm
+        The target's centre, east-north-up from there.
+    axes : (2, 3)
+        Its east and up, unit vectors.
+    extent : (4,) mm
+        East least and most, up least and most, of its corners.
+    marks : dict
+        Name of a mark → (2,) (east, up) [mm].
+    """
+
+    place: Array
+    origin: Array
+    axes: Array
+    extent: tuple[float, float, float, float]
+    marks: dict[str, Array]
+
+
+@dataclass(frozen=True)
 class TargetPhotograph:
     """The beam's centroid on a target.
 
@@ -80,10 +108,13 @@ class TargetPhotograph:
         a bar, half of the difference), ``background`` (a degree less, a degree more), ``contour`` (four times its
         height: light lost below a contour lies lopsided), ``light`` (counts taken for light; the other colours),
         ``noise``.
+    moves : dict
+        (2,) mm each: by how much another choice moves the centroid.
     enu : (3,) mm
-        From the tower file's origin: east, north, up.
+        From the plant's reference in the tower file: east, north, up.
     geodetic : (3,)
         Latitude, longitude [deg] and height [m].
+    plane : Plane
     marks : Marks
     beam : Beam
         In the rectified map's pixels.
@@ -102,8 +133,10 @@ class TargetPhotograph:
     centroid: Array
     covariance: Array
     parts: dict[str, Array]
+    moves: dict[str, Array]
     enu: Array
     geodetic: Array
+    plane: Plane
     marks: Marks
     beam: Beam
     light: Image
@@ -115,18 +148,6 @@ class TargetPhotograph:
     def sigma(self) -> Array:
         """1 σ of the centroid, east and up [mm]."""
         return np.sqrt(np.diag(self.covariance))
-
-
-@dataclass(frozen=True)
-class _Plane:
-    """The target's plane: the plant's reference (latitude, longitude deg, height m), the target's centre, and its east
-    and up in ENU [mm]; its corners and its marks, (east, up) [mm]."""
-
-    place: Array
-    origin: Array
-    axes: Array
-    extent: tuple[float, float, float, float]
-    marks: dict[str, Array]
 
 
 def measure_beam(
@@ -173,7 +194,7 @@ def measure_beam(
         raise BenchsimError(f"{photograph.name}: {e}") from None
 
 
-def _measured(path: Path, name: str, counts: NDArray[np.uint8], marks: Marks, plane: _Plane) -> TargetPhotograph:
+def _measured(path: Path, name: str, counts: NDArray[np.uint8], marks: Marks, plane: Plane) -> TargetPhotograph:
     grid = _Grid.over(plane.extent, marks.homography, counts.shape[:2])
     valid = grid.valid(marks.ink)
     green = grid.rectified(linear(counts[..., 1]))
@@ -183,23 +204,24 @@ def _measured(path: Path, name: str, counts: NDArray[np.uint8], marks: Marks, pl
     def moved(image: Image, order: int = ORDER, contour: float = CONTOUR) -> Array:
         return grid.plane(beam_on(image, valid, order, contour).centroid) - centroid
 
+    moves = {
+        "background": {f"degree {o}": moved(green, order=o) for o in OTHER_ORDERS},
+        "contour": {f"contour at {OTHER_CONTOUR:.0%}": moved(green, contour=OTHER_CONTOUR)},
+        "light": {
+            "counts as light": moved(grid.rectified(counts[..., 1].astype(np.float32) / 255)),
+            "blue": moved(grid.rectified(linear(counts[..., 0]))),
+            "red": moved(grid.rectified(linear(counts[..., 2]))),
+        },
+    }
     used = marks.used
-    pixel = to_plane(np.linalg.inv(marks.homography), centroid)
+    pixel = to_plane(inverse(marks.homography), centroid)
     jacobian = homography_jacobian(marks.pixel[used], marks.plane[used], pixel)
     shift = jacobian @ marks.inset[used].ravel() / 2
     step = np.diag(grid.step)
     parts = {
         "marks": marks.sigma**2 * jacobian @ jacobian.T,
         "mark point": np.outer(shift, shift),
-        "background": _spread([moved(green, order=o) for o in OTHER_ORDERS]),
-        "contour": _spread([moved(green, contour=OTHER_CONTOUR)]),
-        "light": _spread(
-            [
-                moved(grid.rectified(counts[..., 1].astype(np.float32) / 255)),
-                moved(grid.rectified(linear(counts[..., 0]))),
-                moved(grid.rectified(linear(counts[..., 2]))),
-            ]
-        ),
+        **{k: np.mean([np.outer(m, m) for m in v.values()], axis=0) for k, v in moves.items()},
         "noise": step @ beam.noise @ step,
     }
     full = grid.rectified((counts[..., 1] >= 254).astype(np.float32)) > 0.5
@@ -210,8 +232,10 @@ def _measured(path: Path, name: str, counts: NDArray[np.uint8], marks: Marks, pl
         centroid,
         sum(parts.values(), np.zeros((2, 2))),
         parts,
+        {k: m for v in moves.values() for k, m in v.items()},
         spot,
         geodetic(spot, plane.place),
+        plane,
         marks,
         beam,
         green,
@@ -241,11 +265,6 @@ def _remarks(marks: Marks, beam: Beam) -> tuple[str, ...]:
     return tuple(says)
 
 
-def _spread(moves: list[Array]) -> Array:
-    """Mean square of what other choices move."""
-    return np.mean([np.outer(m, m) for m in moves], axis=0)
-
-
 @dataclass(frozen=True)
 class _Grid:
     """The rectified map: row 0 at the least up, column 0 at the least east."""
@@ -266,8 +285,7 @@ class _Grid:
             [[1 / step[0], 0, -extent[0] / step[0] - 0.5], [0, 1 / step[1], -extent[2] / step[1] - 0.5], [0, 0, 1]]
         )
         centre = np.array([(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2])
-        inverse = np.linalg.inv(homography)
-        a, b = to_plane(inverse, np.array([centre, centre + np.array([step[0], 0])]))
+        a, b = to_plane(inverse(homography), np.array([centre, centre + np.array([step[0], 0])]))
         return cls(shape, extent, step, scale @ homography, 0.5 * float(np.linalg.norm(b - a)))
 
     def rectified(self, image: Image) -> Image:
@@ -294,7 +312,7 @@ def _read_counts(path: Path) -> NDArray[np.uint8]:
     counts = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if counts is None:
         raise BenchsimError(f"{path.name}: is no picture that can be read; give a PNG, TIFF or JPEG of 8 bits")
-    return counts
+    return np.asarray(counts, np.uint8)
 
 
 def _target(photograph: Path, properties: str | Path | None) -> str:
@@ -309,7 +327,7 @@ def _target(photograph: Path, properties: str | Path | None) -> str:
     return name
 
 
-def _survey(name: str, path: Path) -> _Plane:
+def _survey(name: str, path: Path) -> Plane:
     """The target's plane and marks from the tower file."""
     plant = load(path)
     place = triple(path, plant, "power_plant_properties.coordinates")
@@ -331,7 +349,12 @@ def _survey(name: str, path: Path) -> _Plane:
         raise BenchsimError(f"{path}: {name}.coordinates: {', '.join(CORNERS)} are needed; add them")
     (e0, u0), (e1, u1) = corners.min(axis=0), corners.max(axis=0)
     marks = {mark: axes @ (points[at] - origin) for mark, at in FAMILIES[name][1].items() if at in points}
-    return _Plane(place, origin, axes, (e0, e1, u0, u1), marks)
+    return Plane(place, origin, axes, (e0, e1, u0, u1), marks)
+
+
+def on_target(found: TargetPhotograph, place: Array) -> Array:
+    """(east, up) mm from the target's centre of (latitude, longitude deg, height m), dropped onto the plane."""
+    return found.plane.axes @ (enu(np.asarray(place, float), found.plane.place) - found.plane.origin)
 
 
 def geodetic(place: Array, about: Array) -> Array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +17,8 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.mount.mark_templates import Template
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]
+"""float32; OpenCV's type stubs know no dtype."""
 
 SCORE = 0.8
 """Least correlation of a mark with its aligned template: panel joints and edges stay below 0.7."""
@@ -175,10 +177,10 @@ def _point(t: Template, corner: Array, scale: float, factor: float) -> Array:
     return (corner + 0.5) / factor - 0.5 + t.point * scale
 
 
-def _consensus(points: Array, plane: Array, scores: Array) -> tuple[Array | None, NDArray[np.bool_]]:
+def _consensus(points: Array, plane: Array, scores: Array) -> tuple[Image | None, NDArray[np.bool_]]:
     """Affine map from plane to pixel through three marks that most others agree with, near enough upright."""
     size = float(np.ptp(plane, axis=0).max())
-    best: tuple[float, Array | None, NDArray[np.bool_]] = (0.0, None, np.zeros(len(points), bool))
+    best: tuple[float, Image | None, NDArray[np.bool_]] = (0.0, None, np.zeros(len(points), bool))
     for three in combinations(range(len(points)), 3):
         i = list(three)
         if abs(np.linalg.det(np.c_[plane[i], np.ones(3)])) < 0.1 * size**2:
@@ -216,15 +218,16 @@ def _again(small: Image, t: Template, expected: Array, scale: float, factor: flo
 def _align(grey: Image, t: Template, start: Array, scale: float) -> tuple[Array, float] | None:
     """Affine map from the template's pixels to the photograph's, and the correlation; None below `SCORE`."""
     corner = start - t.point * scale
-    warp = np.array([[scale, 0, corner[0]], [0, scale, corner[1]]], np.float32)
+    first = np.array([[scale, 0, corner[0]], [0, scale, corner[1]]], np.float32)
+    everywhere = np.full(grey.shape, 255, np.uint8)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-5)
     # A smaller photograph is smoothed less than the template that it is sampled at.
     blur = 2 * int(np.ceil(1.5 * max(1 / scale, 1.0))) + 1
     try:
-        score, warp = cv2.findTransformECC(t.image, grey, warp, cv2.MOTION_AFFINE, criteria, None, blur)
+        score, found = cv2.findTransformECC(t.image, grey, first, cv2.MOTION_AFFINE, criteria, everywhere, blur)
     except cv2.error:  # it does not converge: there is no such mark here
         return None
-    warp = np.asarray(warp, float)
+    warp = np.asarray(found, float)
     moved = np.linalg.norm(warp[:, :2] @ t.point + warp[:, 2] - start)
     stretch = np.linalg.svd(warp[:, :2], compute_uv=False)
     if score < SCORE or moved > 0.5 * scale * max(t.image.shape) or not 0.7 < stretch[1] / stretch[0]:
@@ -271,13 +274,18 @@ def _fit(pixel: Array, plane: Array) -> Array:
     homography, _ = cv2.findHomography(pixel[:, None], plane[:, None], 0)
     if homography is None:
         raise BenchsimError("the marks found lie on one line; photograph all of the target's marks")
-    return homography
+    return np.asarray(homography, float)
 
 
 def to_plane(homography: Array, pixel: Array) -> Array:
     """Pixels (..., 2) on the plane, (..., 2) mm."""
     flat = np.asarray(pixel, float).reshape(-1, 1, 2)
-    return cv2.perspectiveTransform(flat, homography).reshape(np.shape(pixel))
+    return np.asarray(cv2.perspectiveTransform(flat, homography), float).reshape(np.shape(pixel))
+
+
+def inverse(homography: Array) -> Array:
+    """From plane to pixel."""
+    return np.asarray(np.linalg.inv(homography), float)
 
 
 def homography_jacobian(pixel: Array, plane: Array, at: Array) -> Array:
@@ -285,9 +293,7 @@ def homography_jacobian(pixel: Array, plane: Array, at: Array) -> Array:
     step = 1.0
     columns = []
     for i in range(plane.size):
-        shift = np.zeros(plane.size)
-        shift[i] = step
-        shift = shift.reshape(plane.shape)
+        shift = step * (np.arange(plane.size) == i).reshape(plane.shape)
         columns.append((to_plane(_fit(pixel, plane + shift), at) - to_plane(_fit(pixel, plane - shift), at)) / 2 / step)
     return np.stack(columns, axis=-1)
 
@@ -306,5 +312,5 @@ def _ink(shape: tuple[int, ...], found: list[tuple[Template, Array, float]]) -> 
     ink = np.zeros(shape, np.uint8)
     for t, warp, _ in found:
         grown = cv2.dilate(t.ink.astype(np.uint8), np.ones((int(t.bar) | 1, int(t.bar) | 1), np.uint8))
-        ink |= cv2.warpAffine(grown, warp, shape[::-1], flags=cv2.INTER_NEAREST)
+        ink |= np.asarray(cv2.warpAffine(grown, warp, shape[::-1], flags=cv2.INTER_NEAREST), np.uint8)
     return ink.astype(bool)
