@@ -228,6 +228,8 @@ def calibrate(
     paths = pictures([Path(p) for p in photos])
     if picture.resolve() in {p.resolve() for p in paths}:
         raise BenchsimError(f"{picture}: is one of the photographs and would be replaced; choose another name with -o")
+    if not Path(board).exists():
+        raise BenchsimError(f"{board}: not there; give --board the marks.csv that 'benchsim board' wrote")
     marks = read_marks(Path(board))
     with workers() as pool:
         found = solve(paths, marks, name=name, gamma=gamma, each=pool.each, progress=progress)

@@ -96,6 +96,8 @@ def new(
         raise BenchsimError(f"{target}: is a file, not a folder; write benchsim new DIR --photos …")
     calibrated = read_camera(Path(calibration)) if calibration is not None else None
     if marks is not None:
+        if not Path(marks).exists():
+            raise BenchsimError(f"{marks}: not there; give --marks the marks.csv that 'benchsim board' wrote")
         read_marks(Path(marks))
     paths = _listed(photos)
     read, light = [], []

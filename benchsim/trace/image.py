@@ -157,7 +157,7 @@ def read_counts(path: Path) -> tuple[NDArray, bool]:
     Raises
     ------
     BenchsimError
-        If the file is no PNG, TIFF or JPEG, or is damaged; of HEIC it says how to get a JPEG.
+        If the file is no PNG, TIFF or JPEG, or is damaged; of HEIC and raw pictures it says what to give instead.
     """
     if not path.exists():
         raise BenchsimError(f"{path.name}: not there (looked in {path.parent}); add the image or mend its name")
@@ -172,11 +172,16 @@ def read_counts(path: Path) -> tuple[NDArray, bool]:
             f"{path.name}: a HEIC (or AVIF) picture, which is not read; export it as JPEG in full size, and set the "
             "phone to JPEG before the next (iPhone: Settings, Camera, Formats, Most Compatible)"
         )
+    if path.suffix.lower() == ".dng":
+        raise BenchsimError(
+            f"{path.name}: a raw picture, which is not read; give the JPEG that the phone writes beside it, or develop "
+            "it as TIFF of 16 bit without lens correction"
+        )
     if not data.startswith(_SIGNATURES):
         raise BenchsimError(f"{path.name}: not an image; give a PNG, TIFF or JPEG")
     lossy = data.startswith(b"\xff\xd8\xff")
     # Decoders differ in whether a truncated file is an error or a grey remainder; the end marks tell.
-    whole = (b"\xff\xd9" in data[-65536:]) if lossy else (b"IEND" in data[-4096:]) if data[0] == 0x89 else True
+    whole = _ends(data) if lossy else (b"IEND" in data[-4096:]) if data[0] == 0x89 else True
     counts = None
     if whole:
         logging = cv2.utils.logging
@@ -190,6 +195,14 @@ def read_counts(path: Path) -> tuple[NDArray, bool]:
     if counts is None:
         raise BenchsimError(f"{path.name}: truncated or damaged; copy the image again")
     return counts, lossy
+
+
+def _ends(jpeg: bytes) -> bool:
+    """Whether the picture itself has its end mark: its thumbnail has one of its own, and phones append a short film."""
+    at = 2
+    while at + 4 <= len(jpeg) and jpeg[at] == 0xFF and jpeg[at + 1] != 0xDA:
+        at += 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
+    return jpeg.find(b"\xff\xd9", at) >= 0
 
 
 def _check_format(name: str, counts: NDArray, camera: Camera) -> None:

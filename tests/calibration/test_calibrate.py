@@ -185,6 +185,8 @@ def test_pictures_that_do_not_belong_together_are_refused(tmp_path, photographs)
     (tmp_path / "4.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(64))
     with pytest.raises(BenchsimError, match="HEIC"):
         jobs.calibrate([*paths[:3], tmp_path / "4.heic"], tmp_path / "c.toml", board=board)
+    with pytest.raises(BenchsimError, match=r"none\.csv: not there; give --board"):
+        jobs.calibrate([*paths, small(tmp_path / "3.jpg")], tmp_path / "c.toml", board=tmp_path / "none.csv")
     with pytest.raises(BenchsimError, match="would be replaced"):
         jobs.calibrate([*paths[:3], small(tmp_path / "c.png")], tmp_path / "c.toml", board=board)
     assert not (tmp_path / "c.toml").exists()

@@ -120,6 +120,12 @@ def test_another_picture_of_that_name_is_not_overwritten(phone, tmp_path):
     assert (tmp_path / "mine" / "IMG_8.jpg").read_bytes() == before
 
 
+def test_marks_that_are_not_there(phone, tmp_path):
+    with pytest.raises(BenchsimError, match=r"none\.csv: not there; give --marks"):
+        jobs.new(tmp_path / "mine", [phone], marks=tmp_path / "none.csv")
+    assert not (tmp_path / "mine").exists()
+
+
 @pytest.mark.parametrize("what", ["heic", "empty", "none"])
 def test_what_is_no_photograph_is_refused(tmp_path, what):
     folder = tmp_path / "photos"

@@ -155,6 +155,20 @@ def test_grey_saved_as_colour_is_mono(tmp_path):
     assert p.channel == "mono"
 
 
+def test_a_jpeg_ends_where_its_picture_ends(tmp_path):
+    """Rationale: phones put a thumbnail before the picture, with an end mark of its own, and a short film behind it."""
+    cam = camera(bit_depth=8, saturation_level=255.0)
+    picture, small = (cv2.imencode(".jpg", x)[1].tobytes() for x in (counts(scene(), 8), counts(scene(), 8)[::4, ::4]))
+    data = picture[:2] + b"\xff\xe1" + (len(small) + 2).to_bytes(2, "big") + small + picture[2:]
+    (tmp_path / "a.jpg").write_bytes(data)
+    assert data.count(b"\xff\xd9") == 2
+    (tmp_path / "half.jpg").write_bytes(data[: len(data) * 2 // 3])
+    with pytest.raises(BenchsimError, match="truncated"):
+        read_image(tmp_path / "half.jpg", cam)
+    (tmp_path / "moving.jpg").write_bytes(data + b"\0\0\0\x18ftypmp42" + bytes(100_000))
+    assert np.array_equal(read_image(tmp_path / "moving.jpg", cam).light, read_image(tmp_path / "a.jpg", cam).light)
+
+
 def bad_inputs(folder):
     whole = counts(scene(), 16)
     data = cv2.imencode(".png", whole)[1].tobytes()
@@ -172,6 +186,7 @@ def bad_inputs(folder):
         "half.jpg": (jpeg[: len(jpeg) // 2], eight, "truncated"),
         "half.tiff": (tiff[: len(tiff) // 2], camera(), "truncated"),
         "IMG_1.HEIC": (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", camera(), "JPEG"),
+        "IMG_2.DNG": (tiff, camera(), "develop it as TIFF"),
         "turned.png": (cv2.imencode(".png", np.rot90(whole))[1].tobytes(), camera(), "as the camera wrote it"),
         "size.png": (cv2.imencode(".png", whole[:, :-1])[1].tobytes(), camera(), "resolution_px"),
         "bits.png": (data, eight, "bit_depth"),
