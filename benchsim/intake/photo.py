@@ -23,6 +23,11 @@ UPRIGHT = {1: "as the sensor has it", 3: "turned by 180°", 6: "phone upright", 
 """EXIF's orientations that are turns; the others are mirrored."""
 
 
+MERGED = (2, 3, 6, 7, 8)
+"""Values of EXIF's CustomRendered that say so: HDR, panorama, portrait. Apple's own; 4 is the single exposure that it
+keeps beside a merged one (ExifTool's table of tag 0xA401)."""
+
+
 @dataclass(frozen=True)
 class Photo:
     """What one file says; None where it says nothing.
@@ -102,8 +107,7 @@ def read_photo(path: Path) -> tuple[Photo, NDArray]:
             focal_35mm=_number(own.get(0xA405)),
             zoom=_number(own.get(0xA404)),
             model=" ".join(str(tags[t]).strip("\0 ") for t in (0x010F, 0x0110) if tags.get(t)),
-            # 0xA401 CustomRendered; values of 2 and more are makers' own, all of them merged exposures or panoramas.
-            hdr=int(_number(own.get(0xA401)) or 0) >= 2,
+            hdr=int(_number(own.get(0xA401)) or 0) in MERGED,
         ),
         counts,
     )

@@ -27,7 +27,7 @@ def test_a_picture_that_says_nothing(tmp_path):
 
 
 def test_hdr_is_told(tmp_path):
-    assert read_photo(save(tmp_path / "a.jpg", picture(), rendered=3))[0].hdr
+    assert [read_photo(save(tmp_path / "a.jpg", picture(), rendered=n))[0].hdr for n in (0, 1, 3, 4)] == [0, 0, 1, 0]
 
 
 @pytest.mark.parametrize("time", ["0000:00:00 00:00:00", "yesterday", ""])
