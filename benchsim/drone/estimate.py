@@ -76,8 +76,8 @@ class Pointing:
     p_normal: Array
 
 
-def differences(sightings: Sightings, cameras: Array, lamps: Array, mount: Mount, reference: SurfaceMap) -> Array:
-    """(n, 2) angles from expected to measured normals about the concentrator's x and y [rad] (the paper's Eqs (1), (2)).
+def differences(sightings: Sightings, cameras: Array, lamps: Array, mount: Mount, expected: Array) -> Array:
+    """(n, 2) angles from expected to measured normals about the concentrator's x and y [rad] (Eqs (1), (2)).
 
     Parameters
     ----------
@@ -86,14 +86,13 @@ def differences(sightings: Sightings, cameras: Array, lamps: Array, mount: Mount
         As the drone says [mm].
     mount : Mount
         Expected orientation and the plant's kinematics.
-    reference : SurfaceMap
-        By design, or measured.
+    expected : (n, 3) array
+        Normals of the reference surface at the glints, in the concentrator's frame.
     """
     turned, origin = axes(mount)
     # The mirror's sag, below 10 mm, moves a glint along its own normal and turns nothing: 1e-8 rad.
     places = origin + sightings.points @ turned[:, :2].T
     measured = bisector(places, cameras[sightings.frame], lamps[sightings.frame]) @ turned
-    expected = normals(mapped_slopes(reference, sightings.points)[1])
     return np.stack([_about_x(measured) - _about_x(expected), _about_y(measured) - _about_y(expected)], axis=1)
 
 
@@ -187,13 +186,14 @@ def estimate(
     n = len(sightings.frame)
     if n < FEWEST:
         raise BenchsimError(f"the heliostat shows {n} glints, fewer than {FEWEST}: fly a wider or a finer pattern")
+    expected = normals(mapped_slopes(reference, sightings.points)[1])
     kept = np.ones(n, bool)
     steps: list[Array] = []
-    mount, d = _rest(sightings, cameras, lamps, mount, reference, kept, steps)
+    mount, d = _rest(sightings, cameras, lamps, mount, expected, kept, steps)
     second = len(steps)
     most = int(most_outliers * n)
     kept = ~(outliers(d[:, 0], most) | outliers(d[:, 1], most))
-    mount, d = _rest(sightings, cameras, lamps, mount, reference, kept, steps)
+    mount, d = _rest(sightings, cameras, lamps, mount, expected, kept, steps)
     sigma = d[kept].std(axis=0, ddof=1)
     p = np.array([stats.shapiro(d[kept, i]).pvalue for i in range(2)])
     axis = axes(mount)[0] @ mean_normal(reference)
@@ -205,13 +205,13 @@ def _rest(
     cameras: Array,
     lamps: Array,
     mount: Mount,
-    reference: SurfaceMap,
+    expected: Array,
     kept: NDArray[np.bool_],
     steps: list[Array],
 ) -> tuple[Mount, Array]:
     """The mount at rest and its differences; the mean before each turn goes into ``steps``."""
     for _ in range(_MOST_STEPS):
-        d = differences(sightings, cameras, lamps, mount, reference)
+        d = differences(sightings, cameras, lamps, mount, expected)
         mean = d[kept].mean(axis=0)
         steps.append(mean)
         if np.abs(mean).max() < STILL:

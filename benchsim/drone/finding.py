@@ -28,6 +28,9 @@ REACH = 5.0
 _INSET = 0.06
 """Of an edge's length at each end that is not used: there the next edge bends the profile."""
 
+CONTRAST = 1.5
+"""Median of what is bright over that of what is not, at least; the sky is six times as bright as the ground."""
+
 GLINT = 0.15
 """A glint's peak over its surroundings, of full scale, at least: 40 times the noise of a sky at 0.1."""
 
@@ -57,13 +60,15 @@ def find_mirror(image: Array, near: Array) -> Array:
     """
     near = np.asarray(near, float)
     dim = np.minimum(image, 3 * np.median(image) + 1e-6)
-    bright = (cv2.GaussianBlur(dim, (0, 0), 1.0) > threshold_otsu(dim)).astype(np.uint8)
+    level = threshold_otsu(dim)
+    lit = np.median(dim[dim > level]) > CONTRAST * np.median(dim[dim <= level])
+    bright = (cv2.GaussianBlur(dim, (0, 0), 1.0) > level).astype(np.uint8)
     size = float(np.ptp(near[:, 0]))
     # a drone's dark reflection and the gaps between facets are closed; an edge that it eats into is mended by the fit
     bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((2 * round(0.04 * size) + 1,) * 2, np.uint8))
     count, labels, about, middles = cv2.connectedComponentsWithStats(bright)
     big = [i for i in range(1, count) if about[i, cv2.CC_STAT_AREA] > 0.3 * cv2.contourArea(near.astype(np.float32))]
-    if not big:
+    if not (lit and big):
         raise BenchsimError(f"no mirror is seen near pixel {near.mean(axis=0).round()}: check exposure and pose")
     best = min(big, key=lambda i: float(np.linalg.norm(middles[i] - near.mean(axis=0))))
     outline = max(
@@ -131,7 +136,9 @@ def to_mirror(pixels: Array, corners: Array, design: Design) -> Array:
     """(n, 2) points in the concentrator's frame [mm] of pixels (n, 2), by the homography of the mirror's corners."""
     middle = corners.mean(axis=0)
     m, _ = cv2.findHomography(corners - middle, design.outline)
-    return cv2.perspectiveTransform((pixels - middle)[:, None], m)[:, 0] if len(pixels) else np.empty((0, 2))
+    if len(pixels) == 0:
+        return np.empty((0, 2))
+    return np.asarray(cv2.perspectiveTransform((pixels - middle)[:, None], m)[:, 0], float)
 
 
 def read_images(images: Sequence[Array], near: Sequence[Array], design: Design) -> Sightings:

@@ -1,4 +1,4 @@
-"""A virtual flight: where the drone says it is and where it is, a cluster of heliostats, and what is read of their glints.
+"""A virtual flight: where the drone is and says it is, a cluster of heliostats, and what is read of their glints.
 
 Every error source of HelioPoint's Table 1 is a number in `Errors`; at zero it is off.
 """
@@ -141,21 +141,19 @@ class Heliostat:
         The true mirror.
     measured : SurfaceMap
         A deflectometer's map of it, with the map's own errors.
+    axis : (3,) ndarray
+        The true optical axis in the field frame: the mean of all normals of the entire mirror surface.
     """
 
     said: Mount
     mount: Mount
     surface: Surface
     measured: SurfaceMap
-
-    @property
-    def axis(self) -> Array:
-        """(3,) the true optical axis in the field frame: the mean of all normals of the entire mirror surface."""
-        return np.asarray(axes(self.mount)[0] @ mean_normal(measured_map(self.surface)))
+    axis: Array
 
 
 def camera_point(distance: float, azimuth: float, elevation: float) -> Array:
-    """(3,) point at ``distance`` [mm] from the field frame's origin, toward azimuth (north to east), elevation [rad]."""
+    """(3,) point at ``distance`` [mm] from the field's origin, toward azimuth (north to east) and elevation [rad]."""
     out = [
         math.cos(elevation) * math.cos(azimuth),
         -math.cos(elevation) * math.sin(azimuth),
@@ -206,7 +204,9 @@ def fly(target: Array, route: tuple[Array, Array], errors: Errors, rng: np.rando
     return Flight(target, cameras, cameras + beside, cameras + wrong, cameras + beside + wrong)
 
 
-def stand(places: ArrayLike, design: Design, target: Array, errors: Errors, rng: np.random.Generator) -> list[Heliostat]:
+def stand(
+    places: ArrayLike, design: Design, target: Array, errors: Errors, rng: np.random.Generator
+) -> list[Heliostat]:
     """Heliostats at ``places`` (n, 3) [mm], told to look at ``target``, with all their errors drawn."""
     out = []
     for place in np.asarray(places, float):
@@ -220,8 +220,9 @@ def stand(places: ArrayLike, design: Design, target: Array, errors: Errors, rng:
             errors.tilt * rng.standard_normal(2),
         )
         surface = random_surface(design, errors.slope, errors.slope_scale, errors.canting, rng)
-        measured = distorted(measured_map(surface), errors.map_slope, errors.map_scale, rng)
-        out.append(Heliostat(said, mount, surface, measured))
+        exact = measured_map(surface)
+        measured = distorted(exact, errors.map_slope, errors.map_scale, rng)
+        out.append(Heliostat(said, mount, surface, measured, axes(mount)[0] @ mean_normal(exact)))
     return out
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.drone.heliostat import Index, Mount, Surface, axes, cells, normals, shape
+from benchsim.drone.heliostat import Index, Mount, Surface, axes, bend, cells, normals, shape
 
 Array = NDArray[np.float64]
 
@@ -74,14 +74,15 @@ def glints(surface: Surface, mount: Mount, cameras: Array, lamps: Array) -> Glin
     cameras, lamps = (cameras - origin) @ turned, (lamps - origin) @ turned
     middle = (cameras + lamps) / 2
     frame, facet, points = _guesses(surface, middle)
-    points, slope_miss, bend = _solved(surface, facet, points, cameras[frame], lamps[frame])
+    points, slope_miss = _solved(surface, facet, points, cameras[frame], lamps[frame])
     inside = np.abs(points - surface.design.centres[facet]) <= np.array(surface.design.size) / 2
     kept = np.flatnonzero(inside.all(axis=1) & (slope_miss < _TOLERANCE))
     # neighbouring triangles can lead to one solution
     _, first = np.unique(np.column_stack([frame, facet, np.round(points, 3)])[kept], axis=0, return_index=True)
     kept = kept[first]
     kept = kept[np.argsort(frame[kept], kind="stable")]
-    stretch = np.eye(2) - middle[frame[kept], 2, None, None] * bend[kept]
+    bent = bend(surface, facet[kept], points[kept])
+    stretch = np.eye(2) - middle[frame[kept], 2, None, None] * bent
     return Glints(frame[kept], points[kept], 1 / np.abs(np.linalg.det(stretch)))
 
 
@@ -95,15 +96,15 @@ def _guesses(surface: Surface, middle: Array) -> tuple[Index, Index, Array]:
     nodes = design.centres[:, None, None] + np.stack([j, i], axis=-1) * step
     facet = np.repeat(np.arange(len(nodes)), nx * ny)
     flat = nodes.reshape(-1, 2)
-    height, slopes, _ = shape(surface, facet, flat)
+    height, slopes = shape(surface, facet, flat)
     mapped = flat - slopes * (middle[:, 2].mean() - height)[:, None]
     index = np.arange(len(flat)).reshape(len(nodes), ny, nx)
     a, b, c, d = index[:, :-1, :-1], index[:, :-1, 1:], index[:, 1:, :-1], index[:, 1:, 1:]
     corners = np.stack([np.stack([a, b, c]), np.stack([d, c, b])], axis=1).reshape(3, -1).T
-    low, high = mapped[corners].min(axis=1), mapped[corners].max(axis=1)
+    (x0, y0), (x1, y1) = mapped[corners].min(axis=1).T, mapped[corners].max(axis=1).T
     frames, triangles = [], []
-    for f, q in enumerate(middle[:, :2]):
-        near = np.flatnonzero(((low <= q) & (q <= high)).all(axis=1))
+    for f, (x, y) in enumerate(middle[:, :2]):
+        near = np.flatnonzero((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1))
         frames.append(np.full(len(near), f))
         triangles.append(near)
     frame, triangle = np.concatenate(frames), np.concatenate(triangles)
@@ -116,15 +117,15 @@ def _guesses(surface: Surface, middle: Array) -> tuple[Index, Index, Array]:
     return frame[held], facet[corners[triangle[held], 0]], guess
 
 
-def _solved(surface: Surface, facet: Index, points: Array, cameras: Array, lamps: Array) -> tuple[Array, Array, Array]:
-    """Points where the normal bisects, by Newton's method; the remaining miss (n,) [rad]; second derivatives there."""
+def _solved(surface: Surface, facet: Index, points: Array, cameras: Array, lamps: Array) -> tuple[Array, Array]:
+    """Points (n, 2) where the normal bisects, by Newton's method, and the angle (n,) that is still missed [rad]."""
+    far = ((cameras + lamps) / 2)[:, 2, None, None]
     for _ in range(_STEPS):
-        height, slopes, bend = shape(surface, facet, points)
+        height, slopes = shape(surface, facet, points)
         needed = bisector(np.column_stack([points, height]), cameras, lamps)
         miss = slopes + needed[:, :2] / needed[:, 2:]
-        far = ((cameras + lamps) / 2)[:, 2] - height
-        step = np.linalg.solve(bend - np.eye(2) / far[:, None, None], miss[..., None])[..., 0]
+        step = np.linalg.solve(bend(surface, facet, points) - np.eye(2) / far, miss[..., None])[..., 0]
         points = points - np.clip(step, -PITCH, PITCH)
-    height, slopes, bend = shape(surface, facet, points)
+    height, slopes = shape(surface, facet, points)
     needed = bisector(np.column_stack([points, height]), cameras, lamps)
-    return points, np.linalg.norm(normals(slopes) - needed, axis=1), bend
+    return points, np.linalg.norm(normals(slopes) - needed, axis=1)

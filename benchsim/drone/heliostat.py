@@ -23,6 +23,9 @@ Index = NDArray[np.intp]
 WAVES = 32
 """Plane waves per facet in a random surface: their sum is close to Gaussian."""
 
+MAP_PITCH = 25.0
+"""Of a measured surface's cells [mm]."""
+
 
 @dataclass(frozen=True)
 class Design:
@@ -108,7 +111,8 @@ def aimed(design: Design, position: ArrayLike, target: ArrayLike) -> Mount:
     elevation = math.atan2(z, math.hypot(x, y))
     if elevation > math.radians(89):
         raise BenchsimError(
-            f"the heliostat at {position / 1e3} m looks to the zenith, where azimuth is undefined: move the camera point"
+            f"the heliostat at {position / 1e3} m looks to the zenith, where azimuth is undefined: "
+            "move the camera point"
         )
     return Mount(position, math.atan2(-y, x), elevation, design.offset, np.zeros(2))
 
@@ -156,8 +160,8 @@ def random_surface(design: Design, slope: float, scale: float, canting: float, r
     return Surface(design, cant, wave, phase, slope * scale * math.sqrt(2 / WAVES))
 
 
-def shape(surface: Surface, facet: Index, points: Array) -> tuple[Array, Array, Array]:
-    """Height [mm], slopes and second derivatives [1/mm] of the mirror.
+def shape(surface: Surface, facet: Index, points: Array) -> tuple[Array, Array]:
+    """Height [mm] and slopes of the mirror.
 
     Parameters
     ----------
@@ -170,15 +174,23 @@ def shape(surface: Surface, facet: Index, points: Array) -> tuple[Array, Array, 
     -------
     height : (n,) ndarray
     slopes : (n, 2) ndarray
-    bend : (n, 2, 2) ndarray
     """
-    own = points - surface.design.centres[facet]
+    own, k = points - surface.design.centres[facet], surface.wave[facet]
+    angle = _angle(surface, facet, own)
+    height = (surface.cant[facet] * own).sum(axis=1) + surface.amplitude * np.cos(angle).sum(axis=1)
+    slopes = surface.cant[facet] - surface.amplitude * (np.sin(angle)[:, None] @ k)[:, 0]
+    return height, slopes
+
+
+def bend(surface: Surface, facet: Index, points: Array) -> Array:
+    """(n, 2, 2) second derivatives of the height [1/mm]; arguments as for `shape`."""
     k = surface.wave[facet]
-    angle = np.einsum("nwi,ni->nw", k, own) + surface.phase[facet]
-    c, s = surface.amplitude * np.cos(angle), surface.amplitude * np.sin(angle)
-    height = np.einsum("ni,ni->n", surface.cant[facet], own) + c.sum(axis=1)
-    slopes = surface.cant[facet] - np.einsum("nw,nwi->ni", s, k)
-    return height, slopes, -np.einsum("nw,nwi,nwj->nij", c, k, k)
+    angle = _angle(surface, facet, points - surface.design.centres[facet])
+    return np.asarray(-surface.amplitude * np.swapaxes(np.cos(angle)[..., None] * k, 1, 2) @ k)
+
+
+def _angle(surface: Surface, facet: Index, own: Array) -> Array:
+    return np.asarray((surface.wave[facet] @ own[..., None])[..., 0] + surface.phase[facet])
 
 
 def normals(slopes: Array) -> Array:
@@ -215,19 +227,19 @@ def design_map(design: Design) -> SurfaceMap:
     return SurfaceMap(design, design.cant[:, None, None, :])
 
 
-def measured_map(surface: Surface, pitch: float = 25.0) -> SurfaceMap:
-    """The surface as a deflectometer without error has it; add `distorted` for one with."""
-    points = cells(surface.design, pitch)
+def measured_map(surface: Surface) -> SurfaceMap:
+    """The surface as a deflectometer without error has it, in cells of `MAP_PITCH`; `distorted` adds errors."""
+    points = cells(surface.design, MAP_PITCH)
     facet = np.repeat(np.arange(len(points)), points[0, ..., 0].size)
     slopes = shape(surface, facet, points.reshape(-1, 2))[1]
     return SurfaceMap(surface.design, slopes.reshape(points.shape))
 
 
 def distorted(reference: SurfaceMap, slope: float, scale: float, rng: np.random.Generator) -> SurfaceMap:
-    """The map with a deflectometer's own errors: wavy, ``slope`` 1 sigma per component [rad], ``scale`` long [mm]."""
+    """A measured map with a deflectometer's own errors: wavy, 1 sigma ``slope`` per component [rad], ``scale`` [mm]."""
     design = reference.design
     errors = random_surface(replace(design, radius=math.inf), slope, scale, 0.0, rng)
-    return SurfaceMap(design, reference.slopes + measured_map(errors, design.size[0] / reference.slopes.shape[2]).slopes)
+    return SurfaceMap(design, reference.slopes + measured_map(errors).slopes)
 
 
 def mapped_slopes(reference: SurfaceMap, points: Array) -> tuple[Index, Array]:

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.drone.flight import Heliostat
+from benchsim.drone.flight import Flight, Heliostat
 from benchsim.drone.heliostat import axes, normals, shape
 from benchsim.render import backend
 
@@ -43,6 +43,9 @@ BLUR = 0.6
 
 SKY = 0.1
 """Exposure: what the sky's radiance makes of full scale."""
+
+GIMBAL = 3e-3
+"""Error of the camera's pitch and yaw in each image, 1 sigma [rad]: some 25 px."""
 
 FULL_WELL, READ_NOISE, BITS = 12e3, 6.0, 12
 
@@ -111,7 +114,7 @@ def _mesh(heliostat: Heliostat, facet: int, centre: Array) -> Any:
     nx, ny = (math.ceil(s / MESH_PITCH) + 1 for s in design.size)
     x, y = (np.linspace(-s / 2, s / 2, n) for s, n in zip(design.size, (nx, ny), strict=True))
     points = design.centres[facet] + np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    height, slopes, _ = shape(heliostat.surface, np.full(len(points), facet), points)
+    height, slopes = shape(heliostat.surface, np.full(len(points), facet), points)
     turned, origin = axes(heliostat.mount)
     index = np.arange(nx * ny).reshape(ny, nx)
     a, b, c, d = (index[i : ny - 1 + i, j : nx - 1 + j].ravel() for i in (0, 1) for j in (0, 1))
@@ -122,7 +125,8 @@ def _mesh(heliostat: Heliostat, facet: int, centre: Array) -> Any:
     )
     mesh = mi.Mesh(f"facet{facet}", len(points), len(faces), has_vertex_normals=True, props=props)
     p = mi.traverse(mesh)
-    p["vertex_positions"] = (np.column_stack([points, height]) @ turned.T + (origin - centre)).astype(np.float32).ravel()
+    places = np.column_stack([points, height]) @ turned.T + (origin - centre)
+    p["vertex_positions"] = places.astype(np.float32).ravel()
     p["faces"] = faces.astype(np.uint32).ravel()
     p["vertex_normals"] = (normals(slopes) @ turned.T).astype(np.float32).ravel()
     p.update()
@@ -132,9 +136,7 @@ def _mesh(heliostat: Heliostat, facet: int, centre: Array) -> Any:
 def mirrors(heliostats: Sequence[Heliostat], centre: Array) -> dict[str, Any]:
     """The heliostats' facets as Mitsuba's shapes about ``centre`` (3,) [mm], to be photographed any number of times."""
     backend.use()
-    return {
-        f"mirror{i}_{f}": _mesh(h, f, centre) for i, h in enumerate(heliostats) for f in range(len(h.surface.cant))
-    }
+    return {f"mirror{i}_{f}": _mesh(h, f, centre) for i, h in enumerate(heliostats) for f in range(len(h.surface.cant))}
 
 
 def radiance(
@@ -170,7 +172,7 @@ def radiance(
     (rows, columns) ndarray
     """
     backend.use()
-    right, down, forward = view.turned
+    _, down, forward = view.turned
     rows, columns = window
     eye = view.position - centre
 
@@ -227,8 +229,14 @@ def radiance(
             **shapes,
         }
     )
-    image = np.array(mi.render(scene, spp=samples, seed=int(seed)), np.float64)
+    image = np.array(mi.render(scene, spp=samples, seed=mi.UInt32(seed)), np.float64)
     return np.asarray(image[..., 0] if image.ndim == 3 else image)
+
+
+def window_of(corners: Array, margin: int) -> tuple[slice, slice]:
+    """Rows and columns of the camera that hold ``corners`` (n, 2) [px] and ``margin`` pixels around."""
+    low, high = np.floor(corners.min(axis=0)).astype(int) - margin, np.ceil(corners.max(axis=0)).astype(int) + margin
+    return slice(int(low[1]), int(high[1]) + 1), slice(int(low[0]), int(high[0]) + 1)
 
 
 def photograph(light: Array, rng: np.random.Generator) -> Array:
@@ -236,3 +244,40 @@ def photograph(light: Array, rng: np.random.Generator) -> Array:
     electrons = rng.poisson(np.maximum(light, 0) * SKY * FULL_WELL) + READ_NOISE * rng.standard_normal(light.shape)
     steps = 2**BITS - 1
     return np.asarray(np.round(np.clip(electrons / FULL_WELL, 0, 1) * steps) / steps)
+
+
+def photographs(
+    heliostat: Heliostat, flight: Flight, camera: Camera, rng: np.random.Generator, samples: int = 16
+) -> tuple[list[Array], list[Array]]:
+    """Every frame of a flight, cut out around one heliostat.
+
+    Parameters
+    ----------
+    heliostat : Heliostat
+    flight : Flight
+    camera : Camera
+        Looks to the field frame's origin, but for the gimbal's error `GIMBAL`.
+    rng : Generator
+    samples : int
+        Per pixel.
+
+    Returns
+    -------
+    images : list of (rows, columns) ndarray
+        As from `photograph`.
+    near : list of (4, 2) ndarray
+        Where the drone and the plant say that the mirror's corners are in them [px].
+    """
+    corners = heliostat.surface.design.outline
+    true, said = (outline(axes(m), corners) for m in (heliostat.mount, heliostat.said))
+    centre = axes(heliostat.mount)[1]
+    shapes = mirrors([heliostat], centre)
+    images, near = [], []
+    for eye, lamp, said_eye in zip(flight.cameras, flight.lamps, flight.said_cameras, strict=True):
+        view = looking(eye, np.zeros(3), GIMBAL * rng.standard_normal(2))
+        window = window_of(project(camera, view, true), 15)
+        seed = int(rng.integers(2**31))
+        images.append(photograph(radiance(shapes, centre, camera, view, lamp, window, samples, seed), rng))
+        expected = project(camera, looking(said_eye, np.zeros(3)), said)
+        near.append(expected - [window[1].start, window[0].start])
+    return images, near

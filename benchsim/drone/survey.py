@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 DISTANCE = 150e3
 HALF, PITCH = (3200.0, 2800.0), 350.0
-"""Half extents and pitch of the pattern [mm]: the mirror, three sigma of its tracking error and the cluster's spread."""
+"""Half extents and pitch of the pattern [mm]: the mirror, and four sigma of where it may look."""
 
 ACROSS, ALONG = 7e3, 12e3
 """Spacings of the heliostats [mm]: none stands in another's way at the elevations that are flown."""
