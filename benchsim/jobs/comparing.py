@@ -161,6 +161,12 @@ def compare(
         )  # fmt: skip
         return picture.laser, picture.room
 
+    unknown = {name for name, camera in recording.cameras.items() if camera.gamma == "unknown"}
+    if unknown and all(recording.exposures[o.index].camera in unknown for o in observed):
+        raise BenchsimError(
+            f"{recording.path.name}: cameras.{min(unknown)}.gamma: unknown, so that photographs are not compared pixel "
+            "by pixel with renders, only their traces; state the gamma if the camera's maker does"
+        )
     done, lost = [], []
     for count, (o, old, new) in enumerate(zip(observed, before, after, strict=True)):
         exposure = recording.exposures[o.index]
@@ -260,7 +266,7 @@ def compare_exposure(
 def _view(recording: Recording, exposure: Exposure, observed: Observed, free: Mask) -> _View:
     photograph, dark = read_photographs(recording, exposure)
     if not photograph.linear or not len(observed.width2):
-        raise BenchsimError("its gamma is unknown, so light cannot be compared; calibrate the camera's gamma")
+        raise BenchsimError("its gamma is unknown, so that light cannot be compared")
     light = photograph.light.astype(float)
     pedestal = np.zeros_like(light)
     if dark is not None:

@@ -159,6 +159,13 @@ def test_a_render_that_is_not_to_be_had_costs_one_exposure(bowed, bowed_seen):
         comparing.compare(bowed, observed[1:2], [away], [away])
 
 
+def test_photographs_of_unknown_gamma_are_not_rendered_again(bowed, bowed_seen, monkeypatch):
+    camera = replace(bowed.cameras["A"], gamma="unknown")
+    monkeypatch.setattr("benchsim.render.again.expected", lambda *a, **k: pytest.fail("rendered"))
+    with pytest.raises(BenchsimError, match=r"cameras\.A\.gamma: unknown"):
+        comparing.compare(replace(bowed, cameras={"A": camera}), bowed_seen[0], [None] * 3, [None] * 3)
+
+
 def test_switches_of_the_physics_stay_between_off_and_on(bowed, bowed_seen):
     vector = problem.build(bowed, bowed_seen[0], against="vector")
     s = state(vector.predict, 0, {"facets": 1.02, "beam": 0.7, "fresnel": -0.1})
