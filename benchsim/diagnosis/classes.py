@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
+from scipy.stats import chi2, norm
 
 from benchsim.diagnosis.fits import Effects, Fit, Naming
 from benchsim.diagnosis.linear import Linear, marginal
@@ -27,6 +28,9 @@ CLOSE = 3.0
 
 SURE, LIKELY = 0.99, 0.9
 """Probabilities at which an effect is named, and is probable."""
+
+AMISS = 10.0
+"""Shift of a size, in its sigma, that shows it to rest on another effect's being exactly 0."""
 
 MEMBERS = 4
 """Most members of a class."""
@@ -245,10 +249,38 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
     together = {frozenset(n for part in parts for n in part) for parts in product(*([(e,), *swaps[e]] for e in best))}
     if all(frozenset(r) in together for r in rivals):
         classes = tuple(((e,), *swaps[e])[:MEMBERS] for e in best if swaps[e])
-        return Claim(best, tuple(e for e in best if not swaps[e]), classes, nearest)
+        more = companion(best, within) if not classes else None
+        beside: tuple[tuple[Effects, ...], ...] = () if more is None else (((), (more,)),)
+        return Claim(best, tuple(e for e in best if not swaps[e]), (*classes, *beside), nearest)
     common = mine.intersection(*rivals)
     members = tuple(_less(h, common) for h in (best, *rivals)[:MEMBERS])
     return Claim(best, tuple(e for e in best if e in common), (members,), nearest)
+
+
+def companion(best: Effects, within: Space) -> str | None:
+    """The effect on whose being exactly 0 a claimed size rests, though the data would rather have both; or None.
+
+    An effect that stays improbable for its prior, but is `CLOSE` or more away from 0 where it is fitted too and then
+    moves a claimed size by `AMISS` of its sigmas, leaves open whether it is there.
+    """
+    own = within.places(best)
+    alone = within.gram[np.ix_(own, own)] + np.diag(within.sigma[own] ** -2.0)
+    before = np.linalg.solve(alone, within.projection[own])
+    sigma = np.sqrt(np.diag(np.linalg.inv(alone)))
+    found: dict[str, float] = {}
+    for more, places in within.index.items():
+        if more in best or not len(places):
+            continue
+        both = np.concatenate([own, places])
+        inner = within.gram[np.ix_(both, both)] + np.diag(within.sigma[both] ** -2.0)
+        after = np.linalg.solve(inner, within.projection[both])
+        new = after[len(own) :]
+        away = float(new @ np.linalg.solve(np.linalg.inv(inner)[len(own) :, len(own) :], new))
+        chance = float(chi2.sf(away, len(places)))
+        inside = np.all((after >= within.low[both]) & (after <= within.high[both]))
+        if inside and chance < 2 * norm.sf(CLOSE) and np.any(np.abs(after[: len(own)] - before) > AMISS * sigma):
+            found[more] = chance
+    return min(found, key=lambda n: found[n]) if found else None
 
 
 def _less(effects: Effects, dropped: frozenset[str]) -> Effects:

@@ -108,6 +108,9 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         _left(problem, best.fit, modes),
         best.claim is None or not more or _with(problem, naming, more[0], modes)[1].acceptable,
     )
+    if findings.stands and more and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING:
+        best = _beside(problem, naming, best, more[0])
+        findings = replace(findings, claim=best.claim)
     on = best.fit if findings.stands else naming.null
     missing = findings.claim is not None or findings.something_left
     place = _place(problem, naming, best, findings, modes, on) if missing else None
@@ -195,6 +198,16 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> _Best:
             return _Best(fit, claim, hypotheses, linear, within)
         fit = fits[kept]
     return null
+
+
+def _beside(problem: Problem, naming: Naming, best: _Best, laid: Attached) -> _Best:
+    """The claim where a function without a name lies on it: what that can imitate does not tell rivals apart."""
+    white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
+    linear = attachments.with_columns(best.linear, white @ laid.root)
+    within = classes.space(problem, linear, best.fit.setting_scale)
+    signal = classes.amplitude_vector(problem, naming.linear.names, best.fit)
+    claim = classes.claim(best.hypotheses, best.fit.effects, signal, within)
+    return replace(best, claim=claim, linear=linear, space=within)
 
 
 def _weigh(

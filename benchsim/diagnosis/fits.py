@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 Effects = tuple[str, ...]
 """Names of the effects that a hypothesis holds, in the catalogue's order; () is the null."""
 
+LARGEST = 4
+"""Effects in one hypothesis."""
+
 
 @dataclass(frozen=True)
 class Noise:

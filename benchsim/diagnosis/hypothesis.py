@@ -29,16 +29,12 @@ class Whitener:
 
     def __call__(self, columns: Array) -> Array:
         """L⁻¹ columns, (n,) or (n, k)."""
-        out: Array = np.empty(columns.shape)
-        for b, low in enumerate(self.lower):
-            rows = self.problem.rows(b)
-            out[rows] = solve_triangular(low, columns[rows], lower=True, check_finite=False)
-        return out
+        return linear.lowered(self.lower, columns)
 
 
 def whitener(problem: Problem, covariance: Sequence[Array]) -> Whitener:
     """Factorise once."""
-    lower = tuple(np.asarray(np.linalg.cholesky(c), float) for c in covariance)
+    lower = linear.factors(covariance)
     return Whitener(problem, lower, float(2 * sum(np.log(np.diag(low)).sum() for low in lower)))
 
 

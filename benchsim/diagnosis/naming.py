@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 from benchsim.diagnosis import curvature, evidence, linear, noise, refit, screen, settings, starts
 from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.evidence import Term
-from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
+from benchsim.diagnosis.fits import LARGEST, Effects, Fit, Naming, Noise
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, values, whitener
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import Problem
@@ -45,9 +45,6 @@ LONE = 7
 
 BORNE_OUT = 1.0
 """Difference in ln Z up to which a linearisation about a good fit and the refit it foretold check each other."""
-
-LARGEST = 4
-"""Effects in one hypothesis."""
 
 NOISE_MOVED = 0.02
 """Change of a kind's scale, or of the shared variance in units of the white one, that asks for everything anew."""

@@ -1,0 +1,89 @@
+"""What an element could do without a name: one unknown function per element, in that element's own coordinate.
+
+The mount turns its axes by a function of where they stand, the sky moves the light by a function of where it is, a
+target moves the spots by a function of their place on it, time turns the axes by a function of when. Each is pushed
+through the prediction's own derivatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchsim.diagnosis import linear
+from benchsim.diagnosis.problem import Attachment, Parameter, Problem
+from benchsim.instruments.mount import axes
+from benchsim.instruments.mount.prediction import Predict
+from benchsim.instruments.mount.records import Array
+
+RMS = {"arcsec": 60.0, "mrad": 10.0, "mm": 1000.0}
+"""Largest plausible rms of a function."""
+
+
+@dataclass(frozen=True)
+class _Form:
+    name: str
+    element: str
+    coordinate: str
+    inputs: tuple[str, ...]
+    unit: str
+    where: Array
+    lengths: tuple[float, ...]
+
+
+def attachments(problem: Problem, predict: Predict) -> tuple[Attachment, ...]:
+    """The attachments of a problem's records."""
+    return tuple(_attach(problem, form) for form in _forms(predict))
+
+
+def _forms(predict: Predict) -> list[_Form]:
+    mount, records = predict.mount, predict.records
+    n = len(records.names)
+    x = {k: np.full(n, v) for k, v in predict.stated.items()}
+    normal = axes.pointing(mount, records.reading, x)[0]
+    angle, wide = mount.unit, (0.25, 0.5, 1.0)
+    up = normal[:, 2:]
+    around = normal[:, :2] / np.maximum(np.linalg.norm(normal[:, :2], axis=1, keepdims=True), 1e-9)
+    when = np.arange(n, dtype=float)[:, None]
+    both = ("IA", "IE")
+    forms = [
+        _Form("mount.direction", "mount", "where the mount points", both, angle, normal, wide),
+        _Form("mount.elevation", "mount", "elevation of the normal", both, angle, np.arcsin(np.clip(up, -1, 1)), wide),
+        _Form("mount.azimuth", "mount", "azimuth of the normal", both, angle, around, wide),
+        _Form("time.order", "time", "number of the record", both, angle, when, (n / 16, n / 8, n / 3)),
+    ]
+    if mount.observes == "sky":
+        height = np.arcsin(np.clip(records.source[:, 2:], -1, 1))
+        return [*forms, _Form("sky.elevation", "sky", "elevation of the light", ("sun_up",), angle, height, wide)]
+    sun = records.source
+    forms.append(_Form("sky.direction", "sky", "place of the sun", ("sun_across", "sun_up"), angle, sun, wide))
+    # Targets are metres apart, so that one function serves all of them.
+    spots = records.spot - records.spot.mean(axis=0)
+    lengths = (1000.0, 3000.0, 10000.0)
+    return [
+        *forms,
+        _Form("target.place", "target", "place on the target", ("spot_across", "spot_up"), "mm", spots, lengths),
+    ]
+
+
+def _attach(problem: Problem, form: _Form) -> Attachment:
+    n, k = len(problem.names), len(form.inputs)
+    inputs = tuple(Parameter(name, form.unit, 20.0) for name in form.inputs)
+    slopes = linear.columns(problem, {}, inputs)
+    basis = np.zeros((2 * n, n * k))
+    for j in range(k):
+        for i in range(n):
+            basis[2 * i : 2 * i + 2, j * n + i] = slopes[2 * i : 2 * i + 2, j]
+    return Attachment(
+        name=form.name,
+        element=form.element,
+        coordinate=form.coordinate,
+        unit=form.unit,
+        basis=basis,
+        knots=np.tile(form.where, (k, 1)),
+        component=np.repeat(np.arange(k), n),
+        sigma=RMS[form.unit],
+        lengths=form.lengths,
+        position=np.repeat(form.where, 2, axis=0),
+    )

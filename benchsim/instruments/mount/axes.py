@@ -1,0 +1,128 @@
+"""From readings to where a mount's normal (or tube) points, with every error of the mount as a parameter.
+
+All errors act as the parts do, so that nothing is taken to first order except the flexures. In an ``az-el`` mount they
+agree to first order with TPOINT's terms (true less raw, A from north through east)::
+
+    ΔA = IA + CA sec E + NPAE tan E + AN sin A tan E − AW cos A tan E
+    ΔE = IE + AN cos A + AW sin A − TF cos E − TX cot E
+
+and with the drift model of Lara-Cerecedo et al. 2016, https://doi.org/10.1155/2016/3158091, Eqs (5)-(7); see `drift`.
+In an ``east-west`` mount the normal is R_east(θ₁) R_north(NPAE) R_up(θ₂) (0, −cos CA, sin CA): IE and IA are offsets of
+the first and of the second axis, and the first axis is tilted about up and about north.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from benchsim.instruments.mount.records import Actuator, Array, Mount, toward
+
+Inside = Mapping[str, Array]
+"""Parameter name → (T,) values in radians and millimetres; what is left out is 0."""
+
+_ZERO = np.zeros(1)
+
+
+def turned(vectors: Array, about: tuple[Array, Array, Array]) -> Array:
+    """Vectors (T, 3) turned by rotation vectors given by components (T,) or (1,) [rad]."""
+    rotation = np.stack(np.broadcast_arrays(*about), axis=-1)
+    if not rotation.any():
+        return vectors
+    return np.asarray(Rotation.from_rotvec(np.array(np.broadcast_to(rotation, vectors.shape))).apply(np.array(vectors)))
+
+
+def actuator_angle(actuator: Actuator, steps: Array, length: Array, offset: Array, radius: Array) -> Array:
+    """Angle of an axis [rad], (T,); errors of the actuator's constants in mm, (T,).
+
+    The angle between the sides of the triangle, acos((o² + r² − L²)/(2 o r)), counts from its value at step 0, where
+    the axis stands at its initial angle. nan where no triangle closes.
+    """
+    o, r = actuator.offset + offset, actuator.radius + radius
+    now = _corner(o, r, actuator.stroke + length + steps / actuator.increment)
+    start = _corner(o, r, actuator.stroke + length)
+    return actuator.initial_angle + (start - now if actuator.clockwise else now - start)
+
+
+def _corner(o: Array, r: Array, side: Array) -> Array:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.arccos((o**2 + r**2 - side**2) / (2 * o * r)))
+
+
+def pointing(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
+    """Where the normal points, and where the mirror's centre is.
+
+    Parameters
+    ----------
+    mount : Mount
+    reading : (T, 2) array
+    x : mapping
+        Errors inside: rad and mm.
+
+    Returns
+    -------
+    normal : (T, 3) array
+        Unit vectors.
+    centre : (T, 3) array
+        [mm]
+    """
+    return _east_west(mount, reading, x) if mount.axes == "east-west" else _az_el(mount, reading, x)
+
+
+def _az_el(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
+    azimuth = reading[:, 0] + mount.zero[0] + _of(x, "IA")
+    elevation = reading[:, 1] + mount.zero[1] + _of(x, "IE")
+    across = toward(azimuth + np.pi / 2, _ZERO * azimuth)
+    ahead = toward(azimuth, _ZERO * azimuth)
+    normal = toward(azimuth, elevation)
+    ca = np.broadcast_to(_of(x, "CA"), azimuth.shape)[:, None]
+    normal = normal * np.cos(ca) + across * np.sin(ca)
+    npae = _of(x, "NPAE")
+    normal = _sagged(turned(normal, tuple(npae * k for k in ahead.T)), x)  # type: ignore[arg-type]
+    tilt = (_of(x, "AN"), -_of(x, "AW"), _ZERO)
+    arm = mount.joints[2]
+    up = np.cross(across, toward(azimuth, elevation))
+    reach = mount.joints[:2].sum(axis=0) + arm[0] * across + arm[1] * normal + arm[2] * up
+    return turned(normal, tilt), mount.position + turned(reach, tilt) + _of(x, "dn")[:, None] * normal
+
+
+def _east_west(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
+    first, second = (
+        actuator_angle(a, reading[:, k], *(_of(x, f"{n}_{k + 1}") for n in ("length", "offset", "radius")))
+        for k, a in enumerate(mount.actuators)
+    )
+    first, second = first + mount.zero[0] + _of(x, "IE"), second + mount.zero[1] + _of(x, "IA")
+    ca = np.broadcast_to(_of(x, "CA"), first.shape)
+    tilt = (_ZERO, _of(x, "tilt_n"), _of(x, "tilt_u"))
+
+    def carried(vectors: Array, *, by_second: bool = True) -> Array:
+        if by_second:
+            vectors = turned(vectors, (_ZERO, _ZERO, second))
+        return turned(turned(vectors, (_ZERO, _of(x, "NPAE"), _ZERO)), (first, _ZERO, _ZERO))
+
+    normal = _sagged(carried(np.stack([0 * ca, -np.cos(ca), np.sin(ca)], axis=-1)), x)
+    # The mirror lies in front of its axes: the arm along "north" is measured against the normal, which is −north.
+    arm = mount.joints[2] * np.array([1.0, -1.0, 1.0])
+    shape = (len(first), 3)
+    reach = carried(np.broadcast_to(arm, shape)) + mount.joints[0]
+    reach = reach + carried(np.broadcast_to(mount.joints[1], shape), by_second=False)
+    return turned(normal, tilt), mount.position + turned(reach, tilt) + _of(x, "dn")[:, None] * normal
+
+
+def _sagged(normal: Array, x: Inside) -> Array:
+    """A normal lowered by TF cos E + TX cot E, to first order."""
+    tf, tx = _of(x, "TF"), _of(x, "TX")
+    if not (tf.any() or tx.any()):
+        return normal
+    sine = normal[:, 2:]
+    toward_zenith = np.array([0.0, 0.0, 1.0]) - normal * sine
+    low = np.maximum(np.abs(sine), 0.02) * np.where(sine < 0, -1.0, 1.0)
+    bent = normal - (tf[:, None] + tx[:, None] / low) * toward_zenith
+    return np.asarray(bent / np.linalg.norm(bent, axis=1, keepdims=True))
+
+
+def _of(x: Inside, name: str) -> NDArray[np.float64]:
+    return x.get(name, _ZERO)

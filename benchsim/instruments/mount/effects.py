@@ -1,0 +1,215 @@
+"""The catalogue of two-axis mounts in both tongues: the heliostat's names and TPOINT's codes.
+
+Amplitudes of a telescope are in arcsec, of a heliostat in mrad; lengths in mm. Signs: `axes`, `sky`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from benchsim.diagnosis.problem import Effect, Parameter
+from benchsim.instruments.mount.records import Mount, Records
+
+ELEMENTS = ("mount", "target", "sky", "time", "data")
+
+ANGLE = "angle"
+"""Stands for the mount's own unit."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A number of an effect: its unit, and its largest plausible magnitude for a telescope and for a heliostat."""
+
+    name: str
+    unit: str
+    sky: float
+    spot: float
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An effect; ``axes`` and ``observes`` say which mounts it is a candidate for, empty: all."""
+
+    name: str
+    element: str
+    terms: tuple[Term, ...]
+    says: str
+    remedy: str
+    source: str
+    axes: str = ""
+    observes: str = ""
+
+
+_LARA = "Lara-Cerecedo et al. 2016, https://doi.org/10.1155/2016/3158091"
+_TPOINT = "Wallace, TPOINT telescope pointing analysis"
+_JUELICH = "kinematics of the Jülich heliostats as the PAINT data base states them"
+
+
+def _actuator(name: str, cap: float, says: str, remedy: str) -> Entry:
+    kind = name.partition("-")[2]
+    terms = tuple(Term(f"{kind}_{k}", "mm", cap, cap) for k in (1, 2))
+    return Entry(name, "mount", terms, says, remedy, _JUELICH, "east-west", "spot")
+
+
+CATALOGUE: tuple[Entry, ...] = (
+    Entry(
+        "encoder-offset",
+        "mount",
+        (Term("IA", ANGLE, 3600.0, 50.0), Term("IE", ANGLE, 3600.0, 50.0)),
+        "The zero points of the two axes are off by constant angles (IA, IE).",
+        "Set the reference switches, or put IA and IE into the controller.",
+        f"{_LARA}, angular reference offset; {_TPOINT}, IA and IE",
+        observes="spot",
+    ),
+    Entry(
+        "axis-tilt",
+        "mount",
+        (Term("AN", ANGLE, 600.0, 50.0), Term("AW", ANGLE, 600.0, 50.0)),
+        "The azimuth axis is not vertical: its top leans toward south by AN and toward west by AW.",
+        "Level the pedestal, or put AN and AW into the pointing model.",
+        f"{_LARA}, Eq. (7); {_TPOINT}, AN and AW",
+        axes="az-el",
+    ),
+    Entry(
+        "axis-tilt",
+        "mount",
+        (Term("tilt_n", ANGLE, 600.0, 50.0), Term("tilt_u", ANGLE, 600.0, 50.0)),
+        "The first axis does not lie horizontal along east: it is turned about north and about up.",
+        "Survey and align the first axis, or put both angles into the controller.",
+        _JUELICH,
+        axes="east-west",
+    ),
+    Entry(
+        "non-perpendicular-axes",
+        "mount",
+        (Term("NPAE", ANGLE, 600.0, 30.0),),
+        "The two axes are not perpendicular to each other (NPAE).",
+        "Shim the second axis' bearing, or put NPAE into the pointing model.",
+        f"{_TPOINT}, NPAE",
+    ),
+    Entry(
+        "canting",
+        "mount",
+        (Term("CA", ANGLE, 600.0, 30.0),),
+        "Optical axis and second axis are not perpendicular: a canting or collimation error (CA).",
+        "Cant the mirror on its frame, or collimate the telescope; or put CA into the pointing model.",
+        f"{_LARA}, Eq. (6); {_TPOINT}, CA",
+    ),
+    Entry(
+        "tube-flexure",
+        "mount",
+        (Term("TF", ANGLE, 600.0, 20.0), Term("TX", ANGLE, 600.0, 0.0)),
+        "Gravity bends the tube, or the mirror's frame: it sinks by TF cos E and, for a telescope, TX cot E.",
+        "Stiffen the structure, or put TF and TX into the pointing model.",
+        f"{_TPOINT}, TF and TX",
+    ),
+    _actuator(
+        "actuator-length", 30.0, "An actuator is longer at step 0 than stated.", "Measure the strokes at the switches."
+    ),
+    _actuator(
+        "actuator-offset",
+        20.0,
+        "The joint of an actuator lies further from its axis than stated.",
+        "Measure the distance from joint to axis.",
+    ),
+    _actuator(
+        "actuator-radius", 20.0, "The lever of an actuator is longer than stated.", "Measure the lever of each axis."
+    ),
+    Entry(
+        "pivot-offset",
+        "mount",
+        (Term("dn", "mm", 0.0, 300.0),),
+        "The mirror lies further in front of its axes than stated.",
+        "Measure the distance from the axes to the mirror's surface.",
+        "plane geometry of a heliostat",
+        observes="spot",
+    ),
+    Entry(
+        "mirror-position",
+        "mount",
+        tuple(Term(f"mirror_{k}", "mm", 0.0, 3000.0) for k in "enu"),
+        "The heliostat stands elsewhere than stated, by that much to the east, north and up.",
+        "Survey the heliostat's position again.",
+        "plane geometry of a heliostat",
+        observes="spot",
+    ),
+    Entry(
+        "target-position",
+        "target",
+        (Term("target_e", "mm", 0.0, 3000.0), Term("target_u", "mm", 0.0, 3000.0)),
+        "The targets hang elsewhere than stated, each by that much to the east and up.",
+        "Survey the targets' marks again.",
+        "plane geometry of a heliostat",
+        observes="spot",
+    ),
+    Entry(
+        "refraction",
+        "sky",
+        (Term("refr", "1", 600.0, 2.0),),
+        "The light comes from higher than stated by a part of the refraction of the air.",
+        "Put pressure and temperature into the refraction model, and apply it once.",
+        "Reda & Andreas 2004, NREL/TP-560-34302, for the sun; cot E for stars",
+    ),
+    Entry(
+        "clock",
+        "time",
+        (Term("dt", "s", 20.0, 5400.0),),
+        "The clock is wrong: the sun, or the stars, are where they are that much later.",
+        "Set the clock, its time zone and daylight saving.",
+        "the sky turns about the pole",
+    ),
+    Entry(
+        "change-point",
+        "time",
+        (Term("dIA", ANGLE, 600.0, 50.0), Term("dIE", ANGLE, 600.0, 50.0)),
+        "From one record on the mount's zero points are others: something slipped or was set anew.",
+        "Ask the log what happened before that record; judge the records before and after it apart.",
+        "a step in both encoder offsets",
+    ),
+)
+"""Effects in the order of the light: mount, target, sky, time."""
+
+FEWEST_FOR_CHANGE = 5
+"""Records without which no change can be told from chance."""
+
+
+def candidates(mount: Mount, records: Records) -> tuple[Effect, ...]:
+    """What the simulation of this mount may lack; shapes with the values that suit the records."""
+    count = len(records.names)
+    out = []
+    for entry in CATALOGUE:
+        if entry.axes not in ("", mount.axes) or entry.observes not in ("", mount.observes):
+            continue
+        if entry.name == "clock" and mount.latitude is None:
+            continue
+        if entry.name == "change-point" and count < FEWEST_FOR_CHANGE:
+            continue
+        terms = [
+            Parameter(t.name, unit(mount, t), _cap(mount, t) / 2)
+            for t in entry.terms
+            if _cap(mount, t) > 0
+        ]
+        if entry.name == "change-point":
+            # Between two records each; never with one alone on a side, which is an outlying record.
+            grid = tuple(k + 0.5 for k in range(1, count - 2))
+            terms.append(Parameter("change", "record", float(count), grid=grid))
+        if entry.name == "target-position":
+            terms = [replace(t, name=f"{t.name}_{k + 1}") for k in range(len(targets(records))) for t in terms]
+        out.append(Effect(entry.name, entry.element, tuple(terms), entry.says, entry.remedy))
+    return tuple(out)
+
+
+def targets(records: Records) -> tuple[str, ...]:
+    """Names of the targets, in the order of the alphabet: the numbers of ``target_e_1`` and its like."""
+    return tuple(sorted(set(records.target)))
+
+
+def unit(mount: Mount, term: Term) -> str:
+    """Of a term in this mount."""
+    if term.name == "refr" and mount.observes == "sky":
+        return "arcsec"
+    return mount.unit if term.unit == ANGLE else term.unit
+
+
+def _cap(mount: Mount, term: Term) -> float:
+    return term.sky if mount.observes == "sky" else term.spot

@@ -1,0 +1,144 @@
+"""Records that lie apart from all others, and how large the errors of the rest are.
+
+One record with a wrong star, or a spot of another heliostat, bends every fit. Each single effect and each pair is fitted
+to first order with Student's t errors (ν = 3), which such a record can hardly pull, and the most probable of them grows by what helps; where it
+leaves a record further out than the generalised extreme Studentized deviate test (Rosner 1983,
+https://doi.org/10.1080/00401706.1983.10487848) allows, that record is set aside. A change of the mount is not taken for
+outliers: where more than a sixth of the records would go, none goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from scipy.stats import chi2
+
+from benchsim.instruments.mount.records import Array
+
+FREEDOM = 3.0
+"""ν of Student's t."""
+
+ALPHA = 0.01
+"""Probability that a clean session loses a record."""
+
+MOST = 1 / 6
+"""Part of the records that may be set aside."""
+
+GROSS = 4.0
+"""A record within this many sigma is never set aside, however many records there are."""
+
+_ROUNDS = 30
+
+
+@dataclass(frozen=True)
+class Outlying:
+    """Numbers of the records that lie apart, and the errors of the rest, per component."""
+
+    aside: tuple[int, ...]
+    sigma: float
+
+
+@dataclass(frozen=True)
+class _Robust:
+    residual: Array
+    sigma: float
+    log_likelihood: float
+    used: float
+
+
+def outlying(
+    residual: Array, columns: Array, always: Sequence[int], sets: Sequence[Sequence[int]], sigma: float | None = None
+) -> Outlying:
+    """Judge the records.
+
+    Parameters
+    ----------
+    residual : (n, 2) array
+        Data less prediction.
+    columns : (2 n, k) array
+        Derivatives times prior sigma.
+    always : sequence of int
+        Columns that are always fitted.
+    sets : sequence of sequence of int
+        Columns of every effect.
+    sigma : float, optional
+        Errors per component; default they are estimated.
+    """
+    n = len(residual)
+    data = residual.reshape(-1)
+
+    def fitted(chosen: Sequence[int]) -> _Robust:
+        own = [*always, *(c for k in chosen for c in sets[k])]
+        found = _robust(data, columns[:, own])
+        # Schwarz's price of every number that is fitted.
+        return replace(found, log_likelihood=found.log_likelihood - 0.5 * (len(own) - len(always)) * np.log(2 * n))
+
+    numbers = range(len(sets))
+    start = [c for c in [(), *((k,) for k in numbers), *combinations(numbers, 2)] if _few(always, sets, c, n)]
+    chosen = max(start, key=lambda c: fitted(c).log_likelihood)
+    best = fitted(chosen)
+    while True:
+        more = [(*chosen, k) for k in numbers if k not in chosen and _few(always, sets, (*chosen, k), n)]
+        top = max(more, key=lambda c: fitted(c).log_likelihood, default=None)
+        if top is None or fitted(top).log_likelihood <= best.log_likelihood:
+            break
+        chosen, best = top, fitted(top)
+    spread = max(best.sigma, sigma or 0.0)
+    return Outlying(_deviates((best.residual**2).sum(axis=1) / max(spread, 1e-12) ** 2), best.sigma)
+
+
+def _few(always: Sequence[int], sets: Sequence[Sequence[int]], chosen: Sequence[int], n: int) -> bool:
+    """Whether a set leaves at least half of the numbers free."""
+    return len(always) + sum(len(sets[k]) for k in chosen) <= n
+
+
+def _robust(data: Array, columns: Array) -> _Robust:
+    """Fit with bivariate Student's t errors by reweighting; columns carry priors of unit sigma."""
+    n = len(data) // 2
+    weight = np.ones(n)
+    sigma = max(1.4826 * float(np.median(np.abs(data))), 1e-9)
+    used = 0.0
+    residual = data
+    for _ in range(_ROUNDS):
+        w = np.repeat(weight, 2)
+        gram = (columns * w[:, None]).T @ columns
+        inner = gram + sigma**2 * np.eye(columns.shape[1])
+        residual = data - columns @ np.linalg.solve(inner, (columns * w[:, None]).T @ data)
+        used = float(np.trace(np.linalg.solve(inner, gram)))
+        squares = (residual.reshape(-1, 2) ** 2).sum(axis=1)
+        before = sigma
+        # Expectation-maximisation for the scale, with the numbers that the fit has used up given back.
+        left = max(2 * n - used, 1.0) / (2 * n)
+        sigma = max(float(np.sqrt((weight * squares).sum() / (2 * n * left))), 1e-9)
+        weight = (FREEDOM + 2) / (FREEDOM + squares / sigma**2)
+        if abs(sigma / before - 1) < 1e-4:
+            break
+    squares = (residual.reshape(-1, 2) ** 2).sum(axis=1)
+    log_likelihood = float(-((FREEDOM + 2) / 2 * np.log1p(squares / FREEDOM / sigma**2)).sum() - 2 * n * np.log(sigma))
+    return _Robust(residual.reshape(-1, 2), _normal_sigma(squares, used), log_likelihood, used)
+
+
+def _normal_sigma(squares: Array, used: float) -> float:
+    """Sigma per component of the bulk, from the median of squared distances, (n,)."""
+    n = len(squares)
+    left = max(2 * n - used, 1.0) / (2 * n)
+    return float(np.sqrt(np.median(squares) / chi2.ppf(0.5, 2) / left))
+
+
+def _deviates(squares: Array) -> tuple[int, ...]:
+    """Generalised extreme Studentized deviates of squared distances that are χ² with 2 degrees of freedom, (n,)."""
+    n = len(squares)
+    most = int(n * MOST)
+    order = np.argsort(-squares)
+    gone = 0
+    for k in range(1, most + 2):
+        if k > n:
+            break
+        # The k-th largest of n, the k − 1 larger ones removed.
+        limit = chi2.isf(ALPHA / (n - k + 1), 2)
+        if squares[order[k - 1]] > max(limit, GROSS**2):
+            gone = k
+    return tuple(sorted(int(i) for i in order[:gone])) if gone <= most else ()

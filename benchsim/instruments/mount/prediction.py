@@ -1,0 +1,121 @@
+"""What is compared with a record: how far the predicted beam, or pointing, is from the recorded one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim.diagnosis.problem import Values
+from benchsim.instruments.mount import axes, sky
+from benchsim.instruments.mount.records import UNITS, Array, Mount, Records
+
+LOST = 1e6
+"""Distance, in the mount's unit, of a prediction that does not exist (no triangle closes, the beam goes underground)."""
+
+
+@dataclass(frozen=True)
+class Predict:
+    """Distance of the predicted direction from the recorded one, across and up, in the mount's unit.
+
+    The data are zero: a record says where the beam went, and the prediction is how far from there the mount with the
+    given errors would have sent it. Both components are in the plane perpendicular to the recorded direction; *across*
+    is horizontal, to the right as seen along the light (toward growing azimuth for the sky), *up* is up.
+
+    Attributes
+    ----------
+    mount : Mount
+    records : Records
+    units : mapping of str to float
+        Parameter → its unit in rad, mm or s.
+    stated : mapping of str to float
+        Errors that the simulation holds already, inside.
+    target_number : (n,) int array
+    drift : (n, m) array
+        Smooth functions of the record's number, in the mount's unit per unit of ``drift.across_k`` and
+        ``drift.up_k``: what every mount does beside its terms.
+    """
+
+    mount: Mount
+    records: Records
+    units: Mapping[str, float]
+    stated: Mapping[str, float]
+    target_number: NDArray[np.intp]
+    drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def __call__(self, values: Values | Sequence[Values], block: int | Sequence[int]) -> Any:
+        """Of one record, (2,); of lists of values and of their records, a list of such."""
+        if isinstance(values, Mapping):
+            return self.at([values], np.array([block]))[0]
+        return self.many(values, np.asarray(block))  # type: ignore[arg-type]
+
+    def many(self, values: Sequence[Values], blocks: Sequence[int]) -> list[Array]:
+        """Of several."""
+        return list(self.at(values, np.asarray(blocks, np.intp)))
+
+    def at(self, values: Sequence[Values], blocks: NDArray[np.intp]) -> Array:
+        """All at once, (T, 2)."""
+        x: dict[str, Array] = {n: np.full(len(values), v) for n, v in self.stated.items()}
+        for t, one in enumerate(values):
+            for name, value in one.items():
+                unit = self.units.get(name)
+                if unit is None or value == 0.0:
+                    continue
+                if name not in x:
+                    x[name] = np.zeros(len(values))
+                x[name][t] += value * unit
+        return self.inside(x, blocks)
+
+    def inside(self, x: dict[str, Array], i: NDArray[np.intp]) -> Array:
+        """For errors in rad, mm and s, (T,) each, and record numbers (T,)."""
+        mount, records = self.mount, self.records
+        if "change" in x and ("dIA" in x or "dIE" in x):
+            # The record on which the change falls has a part of it, so that a fit can slide over it.
+            after = np.clip(i - x["change"] + 0.5, 0.0, 1.0)
+            for name in ("IA", "IE"):
+                x[name] = x.get(name, 0.0) + after * x.get(f"d{name}", 0.0)
+        normal, centre = axes.pointing(mount, records.reading[i], x)
+        source = sky.seen(mount, records.source[i], x)
+        if mount.observes == "sky":
+            out = _apart(normal, source, records.source[i])
+        else:
+            spot = records.spot[i] + self._moved(x, i)
+            none = np.zeros(1)
+            moved = (x.get(f"mirror_{k}", none) + x.get(f"survey_{k}", none) for k in "enu")
+            shift = np.stack(np.broadcast_arrays(*moved), axis=-1)
+            seen = spot - centre - shift
+            seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+            beam = 2 * normal * (normal * source).sum(axis=1, keepdims=True) - source
+            recorded = records.spot[i] - mount.position
+            out = _apart(beam, seen, recorded / np.linalg.norm(recorded, axis=1, keepdims=True))
+        out = out / UNITS[mount.unit]
+        for k in range(self.drift.shape[1]):
+            for j, name in enumerate((f"drift.across_{k + 1}", f"drift.up_{k + 1}")):
+                if name in x:
+                    out[:, j] += self.drift[i, k] * x[name]
+        return np.where(np.isfinite(out).all(axis=1)[:, None], out, LOST)
+
+    def _moved(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> Array:
+        """Shift of the recorded spots (T, 3)."""
+        number = self.target_number[i]
+        east, up = x.get("spot_across", np.zeros(1)), x.get("spot_up", np.zeros(1))
+        for k in range(int(self.target_number.max(initial=-1)) + 1):
+            east = east + x.get(f"target_e_{k + 1}", 0.0) * (number == k)
+            up = up + x.get(f"target_u_{k + 1}", 0.0) * (number == k)
+        return np.stack(np.broadcast_arrays(east, 0.0 * east, up), axis=-1)
+
+
+def _apart(predicted: Array, recorded: Array, about: Array) -> Array:
+    """Predicted less recorded, across and up in the plane perpendicular to ``about``, (T, 2)."""
+    right = np.stack([about[:, 1], -about[:, 0], 0 * about[:, 0]], axis=-1)
+    right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
+    up = np.cross(right, about)
+    # Along a chord lengthened to the arc: what is 15 degrees off is not called less.
+    apart = predicted - recorded
+    chord = np.linalg.norm(apart, axis=1, keepdims=True)
+    arc = 2 * np.arcsin(np.clip(chord / 2, 0, 1))
+    apart = apart * np.where(chord > 1e-3, arc / np.maximum(chord, 1e-12), 1.0)
+    return np.stack([(apart * right).sum(axis=1), (apart * up).sum(axis=1)], axis=-1)

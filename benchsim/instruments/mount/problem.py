@@ -1,0 +1,243 @@
+"""A session as the problem that the diagnosis is handed.
+
+Every record is a block of two data, across and up, and a setting of its own. A telescope's encoder zeros are nuisances,
+always fitted and never ranked; a heliostat's position is known to what a survey gives. How large the errors of a record
+are nobody states: `outlying` estimates them, and the diagnosis estimates them again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.diagnosis import linear
+from benchsim.diagnosis.evidence import amplitudes
+from benchsim.diagnosis.problem import Effect, Parameter, Problem
+from benchsim.instruments.mount import effects
+from benchsim.instruments.mount.attachments import attachments
+from benchsim.instruments.mount.outlying import Outlying, outlying
+from benchsim.instruments.mount.prediction import LOST, Predict
+from benchsim.instruments.mount.records import UNITS, Array, Mount, Records, Session, angles
+
+ZERO_SIGMA = 600.0
+"""Of a telescope's encoder zeros about their robust estimates [arcsec]."""
+
+SURVEY_SIGMA = 20.0
+"""Of a heliostat's surveyed position [mm]."""
+
+FEWEST = 3
+"""Records below which nothing is fitted."""
+
+DRIFT = 0.3
+"""Drift of a mount's pointing through a session, rms, in errors of a single record. A prior: its scale is fitted in
+every hypothesis (`diagnosis.settings`), so that some four times as much is taken for it too. Without it neighbours that
+err together pass for many witnesses, and terms that differ by less than the drift would be told apart."""
+
+DRIFT_LENGTH = 5.0
+"""Records over which neighbours err alike."""
+
+DRIFT_MODES = 12
+
+FEWEST_TO_DRIFT = 32
+"""Records below which a drift is not told from the errors of single records."""
+
+FAINTEST = {"arcsec": 0.05, "mrad": 0.02}
+"""Errors of a record are not believed to be below this: what is seen through air, or centred on a sunlit target."""
+
+
+@dataclass(frozen=True)
+class Built:
+    """A problem with what was decided on the way.
+
+    Attributes
+    ----------
+    problem : Problem
+    session : Session
+        With the encoder zeros put in, and the records that are used.
+    aside : tuple of str
+        Names of the records that were set aside, in their order.
+    sigma : float
+        Errors of a record, per component, in the mount's unit.
+    remarks : tuple of str
+    """
+
+    problem: Problem
+    session: Session
+    aside: tuple[str, ...]
+    sigma: float
+    remarks: tuple[str, ...]
+
+
+def build(session: Session, *, attached: bool = True, catalogue: Sequence[Effect] | None = None) -> Built:
+    """The problem of a session.
+
+    Parameters
+    ----------
+    session : Session
+    attached : bool
+        Whether to compute the attachments.
+    catalogue : sequence of Effect, optional
+        Default `effects.candidates`.
+
+    Raises
+    ------
+    BenchsimError
+        If there are fewer than three records, or the simulation cannot be evaluated as stated.
+    """
+    mount, records = session.mount, session.records
+    if len(records.names) < FEWEST:
+        count = len(records.names)
+        raise BenchsimError(
+            f"{session.path}: {count} record{'s' if count != 1 else ''}; a mount is judged from {FEWEST} or more at "
+            "different positions of the sky, so add recordings"
+        )
+    if mount.observes == "sky":
+        mount = replace(mount, zero=mount.zero + zeros(mount, records))
+    known = list(effects.candidates(mount, records)) if catalogue is None else list(catalogue)
+    predict = predicted(replace(session, mount=mount), known)
+    whole = problem_of(predict, known, 1.0)
+    stated = linear.predict_all(whole, {})
+    lost = np.abs(stated).reshape(-1, 2).max(axis=1) >= LOST
+    if lost.any():
+        names = ", ".join(n for n, bad in zip(records.names, lost, strict=True) if bad)
+        raise BenchsimError(
+            f"{session.path}: the stated mount cannot reach the readings of {names} (no triangle of an actuator closes "
+            "there); check the actuators' constants and their units"
+        )
+    judged = look(whole)
+    return _finish(replace(session, mount=mount), known, judged, attached)
+
+
+def again(built: Built, values: dict[str, float], *, attached: bool = True) -> Built | None:
+    """Judge the records anew about a fit that was found; None where the same ones are set aside."""
+    session, catalogue = built.session, list(built.problem.catalogue)
+    judged = look(built.problem, values, everything=built.sigma)
+    if not judged.aside:
+        return None
+    more = _finish(session, catalogue, judged, attached)
+    return replace(more, aside=(*built.aside, *more.aside), remarks=(*built.remarks, *more.remarks))
+
+
+def look(problem: Problem, at: dict[str, float] | None = None, *, everything: float | None = None) -> Outlying:
+    """Which records lie apart, about a point of the parameters; errors are estimated unless ``everything`` states them."""
+    values = at or {}
+    residual = problem.data - linear.predict_all(problem, values)
+    own = {e.name: amplitudes(e) for e in problem.catalogue}
+    many = [p for e in problem.catalogue for p in own[e.name]]
+    columns = linear.columns(problem, values, (*problem.nuisances, *many))
+    p = len(problem.nuisances)
+    size = np.array([q.sigma for q in (*problem.nuisances, *many)])
+    columns = columns * size
+    place = {q.name: p + k for k, q in enumerate(many)}
+    sets = [[place[q.name] for q in own[e.name]] for e in problem.catalogue if e.name != "change-point"]
+    return outlying(residual.reshape(-1, 2), columns, list(range(p)), sets, everything)
+
+
+def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attached: bool) -> Built:
+    names = session.records.names
+    keep = [k for k in range(len(names)) if k not in judged.aside]
+    kept = replace(session, records=session.records.chosen(keep))
+    if judged.aside and any(e.name == "change-point" for e in catalogue):
+        catalogue = [e if e.name != "change-point" else _fewer(e, len(keep)) for e in catalogue]
+    sigma = max(judged.sigma, FAINTEST[session.mount.unit])
+    predict = predicted(kept, catalogue)
+    predict = replace(predict, drift=DRIFT * sigma * drift(len(keep)))
+    problem = problem_of(predict, catalogue, sigma)
+    if attached:
+        problem = replace(problem, attachments=attachments(problem, predict))
+    return Built(problem, kept, tuple(names[k] for k in judged.aside), sigma, ())
+
+
+def _fewer(effect: Effect, count: int) -> Effect:
+    grid = tuple(k + 0.5 for k in range(1, count - 2))
+    return replace(effect, parameters=tuple(replace(p, grid=grid) if p.grid else p for p in effect.parameters))
+
+
+def predicted(session: Session, catalogue: Sequence[Effect]) -> Predict:
+    """The prediction of a session's records."""
+    mount, records = session.mount, session.records
+    units = {p.name: UNITS[p.unit] for e in catalogue for p in e.parameters}
+    units |= {p.name: UNITS[p.unit] for p in nuisances(mount)}
+    angle = UNITS[mount.unit]
+    units |= {f"drift.{w}_{k + 1}": 1.0 for w in ("across", "up") for k in range(DRIFT_MODES)}
+    units |= {"IA": angle, "IE": angle, "sun_across": angle, "sun_up": angle, "spot_across": 1.0, "spot_up": 1.0}
+    stated: dict[str, float] = {}
+    for name, terms in session.effects.items():
+        for term, value in terms.items():
+            stated[term] = value * UNITS[_unit_of(mount, records, name, term)]
+    order = {t: k for k, t in enumerate(effects.targets(records))}
+    return Predict(mount, records, units, stated, np.array([order[t] for t in records.target], np.intp))
+
+
+def _unit_of(mount: Mount, records: Records, effect: str, term: str) -> str:
+    return next(
+        p.unit
+        for e in (*effects.candidates(mount, records), *_never(mount))
+        for p in e.parameters
+        if e.name == effect and p.name == term
+    )
+
+
+def _never(mount: Mount) -> tuple[Effect, ...]:
+    """Effects that a file may state though they are no candidates: a telescope's encoder zeros."""
+    return (Effect("encoder-offset", "mount", nuisances(mount)),)
+
+
+def nuisances(mount: Mount) -> tuple[Parameter, ...]:
+    """What may differ from the file without being an effect."""
+    if mount.observes == "sky":
+        return tuple(Parameter(n, mount.unit, ZERO_SIGMA) for n in ("IA", "IE"))
+    return tuple(Parameter(f"survey_{k}", "mm", SURVEY_SIGMA) for k in "enu")
+
+
+def _drift(predict: Predict) -> tuple[Parameter, ...]:
+    names = [f"drift.{which}_{k + 1}" for k in range(predict.drift.shape[1]) for which in ("across", "up")]
+    return tuple(Parameter(n, "1", 1.0, scaled=True) for n in names)
+
+
+def drift(count: int) -> Array:
+    """The leading modes of a Gaussian process of unit rms over the number of the record, (n, m)."""
+    if count < FEWEST_TO_DRIFT:
+        return np.zeros((count, 0))
+    k = np.arange(count, dtype=float)
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * ((k[:, None] - k) / DRIFT_LENGTH) ** 2))
+    lead = slice(None, -1 - DRIFT_MODES, -1)
+    return np.asarray(vectors[:, lead] * np.sqrt(np.maximum(values[lead], 0.0)))
+
+
+def problem_of(predict: Predict, catalogue: Sequence[Effect], sigma: float) -> Problem:
+    """The problem of a prediction, every record with the same errors, no attachments."""
+    records = predict.records
+    n = len(records.names)
+    return Problem(
+        data=np.zeros(2 * n),
+        block=np.repeat(np.arange(n), 2),
+        kind=np.tile(np.array(["across", "up"]), n),
+        position=np.repeat(np.arange(n, dtype=float), 2),
+        stretch=np.full(2 * n, -1),
+        covariance=tuple(np.eye(2) * sigma**2 for _ in range(n)),
+        names=records.names,
+        groups=records.names,
+        nuisances=(*nuisances(predict.mount), *_drift(predict)),
+        catalogue=tuple(catalogue),
+        predict=predict,
+    )
+
+
+def zeros(mount: Mount, records: Records) -> Array:
+    """Robust estimate of a telescope's encoder zeros [rad]: medians of true less read, azimuths around the circle."""
+    azimuth, elevation = angles(records.source)
+    apart = azimuth - records.reading[:, 0] - mount.zero[0]
+    # Near the zenith azimuths say little.
+    weight = np.cos(elevation) > 0.3
+    use = weight if weight.sum() >= FEWEST else np.ones(len(weight), bool)
+    middle = np.angle(np.exp(1j * apart[use]).sum())
+    return np.array(
+        [
+            middle + np.median(np.angle(np.exp(1j * (apart[use] - middle)))),
+            np.median(elevation - records.reading[:, 1] - mount.zero[1]),
+        ]
+    )

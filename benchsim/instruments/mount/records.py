@@ -1,0 +1,156 @@
+"""What a mount is and what was recorded with it: frozen data, east-north-up, millimetres and radians.
+
+Two mounts. ``az-el``: a vertical first axis (azimuth, north through east) carries a horizontal one (elevation).
+``east-west``: a horizontal first axis along east carries a second one perpendicular to it, both driven by linear
+actuators (heliostats of the Jülich solar tower). Two ways of observing. ``spot``: a heliostat's focal spot on a target;
+what is compared is the direction of the reflected beam. ``sky``: a telescope's pointing at a star.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+UNITS = {"rad": 1.0, "mrad": 1e-3, "arcsec": np.pi / 648000, "mm": 1.0, "s": 1.0, "1": 1.0, "record": 1.0}
+"""Parameter unit → the unit used inside."""
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """A linear actuator that turns an axis.
+
+    Attributes
+    ----------
+    stroke : float
+        Length at step 0 [mm].
+    offset, radius : float
+        Sides of the triangle that the actuator closes: joint to axis, and lever [mm].
+    increment : float
+        Steps per mm.
+    initial_angle : float
+        Of the axis at step 0 [rad].
+    clockwise : bool
+        Whether growing length turns the axis the negative way.
+    """
+
+    stroke: float
+    offset: float
+    radius: float
+    increment: float
+    initial_angle: float
+    clockwise: bool
+
+
+@dataclass(frozen=True)
+class Mount:
+    """The mount as its owner states it.
+
+    Attributes
+    ----------
+    axes : {"az-el", "east-west"}
+    observes : {"spot", "sky"}
+    position : (3,) array
+        Where the axes meet, in the frame of the spots [mm]; unused for the sky.
+    joints : (3, 3) array
+        First joint, second joint and mirror centre, each from the one before, as (east, north, up) where all angles
+        are 0 [mm]. The mirror's normal points to −north there in an ``east-west`` mount and to north in an ``az-el``.
+    actuators : tuple of Actuator
+        Two, or none where angles are read directly.
+    latitude : float or None
+        [rad]; None: unknown, and clock errors are no candidates.
+    zero : (2,) array
+        Added to the readings: what the encoders are known to be off by, [rad].
+    """
+
+    axes: str
+    observes: str
+    position: Array = field(default_factory=lambda: np.zeros(3))
+    joints: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    actuators: tuple[Actuator, ...] = ()
+    latitude: float | None = None
+    zero: Array = field(default_factory=lambda: np.zeros(2))
+
+    @property
+    def unit(self) -> str:
+        """Of angles in results: arcsec for a telescope, mrad for a heliostat."""
+        return "arcsec" if self.observes == "sky" else "mrad"
+
+
+@dataclass(frozen=True)
+class Records:
+    """What was recorded, in the order of time.
+
+    Attributes
+    ----------
+    names : (n,) tuple of str
+    reading : (n, 2) array
+        Of the two axes: azimuth and elevation [rad], or steps of the actuators.
+    source : (n, 3) array
+        Unit vectors toward the sun, or toward the star that was pointed at.
+    spot : (n, 3) array
+        Focal spots [mm]; nan for the sky.
+    target : (n,) tuple of str
+        Names of the targets; empty for the sky.
+    """
+
+    names: tuple[str, ...]
+    reading: Array
+    source: Array
+    spot: Array
+    target: tuple[str, ...]
+
+    def chosen(self, index: NDArray[np.intp] | list[int]) -> Records:
+        """Some of the records."""
+        i = np.asarray(index, np.intp)
+        return Records(
+            tuple(self.names[k] for k in i),
+            self.reading[i],
+            self.source[i],
+            self.spot[i],
+            tuple(self.target[k] for k in i),
+        )
+
+
+@dataclass(frozen=True)
+class Session:
+    """A mount with its records, as a reader gives them.
+
+    Attributes
+    ----------
+    title : str
+    path : Path
+        What was named.
+    files : tuple of Path
+        All that was read.
+    mount : Mount
+    records : Records
+    remarks : tuple of str
+        What the files leave open, one sentence each.
+    effects : mapping of str to mapping
+        Stated errors by effect and parameter, in the units of the catalogue; they are part of the simulation.
+    """
+
+    title: str
+    path: Path
+    files: tuple[Path, ...]
+    mount: Mount
+    records: Records
+    remarks: tuple[str, ...] = ()
+    effects: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+def toward(azimuth: Array, elevation: Array) -> Array:
+    """Unit vectors (..., 3) east-north-up of azimuths from north through east and elevations [rad]."""
+    c = np.cos(elevation)
+    return np.stack([np.sin(azimuth) * c, np.cos(azimuth) * c, np.sin(elevation) + 0 * azimuth], axis=-1)
+
+
+def angles(direction: Array) -> tuple[Array, Array]:
+    """Azimuth from north through east in [0, 2π) and elevation [rad] of vectors (..., 3)."""
+    e, n, u = np.moveaxis(direction, -1, 0)
+    return np.arctan2(e, n) % (2 * np.pi), np.arctan2(u, np.hypot(e, n))
