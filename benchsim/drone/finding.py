@@ -25,6 +25,13 @@ Array = NDArray[np.float64]
 REACH = 5.0
 """Half length of the profiles across an edge [px]."""
 
+_GAP = 0.012
+"""Half width of what is closed, of the mirror's."""
+
+_SHAPE = 0.03
+"""How far a corner may lie from where the mirror's known shape has it, of the mirror's width: a camera that rolls by
+10 mrad and errs by a percent in distance stays below."""
+
 _INSET = 0.06
 """Of an edge's length at each end that is not used: there the next edge bends the profile."""
 
@@ -59,13 +66,17 @@ def find_mirror(image: Array, near: Array) -> Array:
         If there is no such bright quadrangle.
     """
     near = np.asarray(near, float)
+    # glints are capped, first by what is usual in the picture, which may be the ground, then by the mirror's own level
     dim = np.minimum(image, 3 * np.median(image) + 1e-6)
     level = threshold_otsu(dim)
-    lit = np.median(dim[dim > level]) > CONTRAST * np.median(dim[dim <= level])
+    sky = np.median(image[dim > level])
+    lit = sky > CONTRAST * np.median(image[dim <= level])
     bright = (cv2.GaussianBlur(dim, (0, 0), 1.0) > level).astype(np.uint8)
+    dim = np.minimum(image, 1.5 * sky)
     size = float(np.ptp(near[:, 0]))
-    # a drone's dark reflection and the gaps between facets are closed; an edge that it eats into is mended by the fit
-    bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((2 * round(0.04 * size) + 1,) * 2, np.uint8))
+    # the gaps between facets are closed, but not those to the next heliostat; where the drone's dark reflection eats
+    # into an edge, the rectangle spans it and the fit mends it
+    bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((2 * round(_GAP * size) + 1,) * 2, np.uint8))
     count, labels, about, middles = cv2.connectedComponentsWithStats(bright)
     big = [i for i in range(1, count) if about[i, cv2.CC_STAT_AREA] > 0.3 * cv2.contourArea(near.astype(np.float32))]
     if not (lit and big):
@@ -82,6 +93,11 @@ def find_mirror(image: Array, near: Array) -> Array:
     for _ in range(2):
         edges = [_edge(dim, box[i], box[(i + 1) % 4], box.mean(axis=0)) for i in range(4)]
         box = np.array([_crossing(edges[i - 1], edges[i]) for i in range(4)])
+    if np.abs((box - box.mean(axis=0)) - (near - near.mean(axis=0))).max() > _SHAPE * size:
+        raise BenchsimError(
+            f"what is seen near pixel {near.mean(axis=0).round()} has not the mirror's shape: "
+            "something stands before it, or shines beside it"
+        )
     return box
 
 

@@ -82,7 +82,7 @@ class View:
     turned: Array
 
 
-def looking(position: Array, at: Array, off: Sequence[float] = (0.0, 0.0)) -> View:
+def looking(position: Array, at: Array, off: Sequence[float] | Array = (0.0, 0.0)) -> View:
     """A view without roll toward ``at``; ``off``: turned rightward and downward [rad], as a gimbal errs."""
     forward = (at - position) / np.linalg.norm(at - position)
     right = np.cross(forward, [0.0, 0.0, 1.0])

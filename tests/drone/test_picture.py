@@ -36,6 +36,28 @@ def test_corners_and_glints_of_a_drawn_mirror():
     np.testing.assert_allclose(find_glints(image, corners), spots, atol=0.05)
 
 
+def test_much_ground_around_moves_no_edge():
+    """With the ground in most of the picture, as in a frame of a cluster."""
+    image = drawn([[40.3, 30.7]])
+    wide = np.full((250, 280), 0.01) + 0.003 * np.random.default_rng(3).standard_normal((250, 280))
+    wide[70:180, 70:210] = image
+    np.testing.assert_allclose(find_mirror(wide, QUAD + 70.0 + np.array([-6.0, 5.0])) - 70.0, QUAD, atol=0.2)
+
+
+def test_a_neighbour_is_not_taken_for_a_part():
+    """Another mirror 8 px beside it: the one that was expected is found, whole."""
+    image = drawn([[40.3, 30.7]])
+    wide = np.hstack([image[:, :129], image[:, 12:]])
+    np.testing.assert_allclose(find_mirror(wide, QUAD + 4.0), QUAD, atol=0.25)
+
+
+def test_a_half_hidden_mirror_is_refused():
+    image = drawn([[40.3, 30.7]])
+    image[:, 80:] = 0.01
+    with pytest.raises(BenchsimError, match=r"shape|no mirror|located"):
+        find_mirror(image, QUAD)
+
+
 def test_corners_map_to_the_outline():
     np.testing.assert_allclose(to_mirror(QUAD, QUAD, DESIGN), DESIGN.outline, atol=0.01)
     assert to_mirror(np.empty((0, 2)), QUAD, DESIGN).shape == (0, 2)
