@@ -1,0 +1,3 @@
+"""benchsim before drjit and mitsuba, whichever test module comes first."""
+
+import benchsim  # noqa: F401
