@@ -160,16 +160,21 @@ InDoubt = Annotated[
 
 @app.command()
 def diagnose(
-    recording: Annotated[Path, typer.Argument(help="Recording folder.")],
+    recording: Annotated[
+        Path, typer.Argument(help="Recording folder; or a folder of PAINT files, or a telescope's pointing file.")
+    ],
     output: Output = None,
     against: InDoubt = Against.bench,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw what was found.")] = True,
+    tower: Annotated[
+        Path | None, typer.Option(help="Tower file of PAINT recordings; default: beside or above.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Say what the simulation lacks: where, what, how large, and what to do; or what would have been seen."""
     from benchsim import jobs
 
-    _do(jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures)
+    _do(jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures, tower=tower)
 
 
 @app.command()

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -28,6 +28,9 @@ from benchsim.jobs.reporting import report
 from benchsim.jobs.workers import Workers, workers
 from benchsim.report import diagnosis_pictures as pictures
 from benchsim.report.diagnosis_text import About, summary
+
+if TYPE_CHECKING:
+    from benchsim.jobs.mounting import MountDiagnosis
 
 MOST_LOCATED = 4
 """Photographs in which stretches are drawn: those of the most significant."""
@@ -106,9 +109,10 @@ def diagnose(
     *,
     against: str = "bench",
     pictures: bool = True,
+    tower: Path | str | None = None,
     progress: Progress = silent,
-) -> DiagnosisResult:
-    """Say what a simulation lacks, from settings and photographs alone.
+) -> DiagnosisResult | MountDiagnosis:
+    """Say what a simulation lacks, from settings and photographs alone; or from the recordings of a two-axis mount.
 
     ``diagnosis.json``, ``summary.txt`` and ``amended.toml`` lie in the folder, whole, before the pictures are begun;
     each picture is put beside them as it is finished, and ``report.html``, which shows it all, comes last.
@@ -116,19 +120,21 @@ def diagnose(
     Parameters
     ----------
     recording : path
-        Recording folder or file.
+        Recording folder or file; a folder of PAINT files or a telescope's pointing file, told by what it holds.
     output : path, optional
         Default ``./NAME-diagnose/``.
     against : {"bench", "vector"}
         The simulation in doubt: the bench as the file states it, or the paper's vector model.
     pictures : bool
         Whether to draw; without, the page shows no photographs either.
+    tower : path, optional
+        Tower file of PAINT recordings; default it is looked for in their folder and above.
     progress : callable
         Called with what is being done and the fraction done.
 
     Returns
     -------
-    DiagnosisResult
+    DiagnosisResult or MountDiagnosis
 
     Raises
     ------
@@ -136,6 +142,15 @@ def diagnose(
         If the recording or the folder cannot be used, or no exposure gives a trace.
     """
     source = Path(recording)
+    if _of_a_mount(source):
+        from benchsim.jobs import mounting
+
+        if against != "bench":
+            raise BenchsimError(
+                f"{source}: --against {against} is for the bench; leave it out for a mount's recordings"
+            )
+        place = None if tower is None else Path(tower)
+        return mounting.diagnose(source, output, tower=place, draw=pictures, progress=progress)
     folder = Path(output) if output is not None else default_folder(source, "diagnose")
     checked = read(source, images=True)
     effects.check(checked)
@@ -153,6 +168,15 @@ def diagnose(
         report(folder)
     progress("done", 1.0)
     return result
+
+
+def _of_a_mount(source: Path) -> bool:
+    """Whether a path holds a mount's recordings; a recording of the bench is never taken for one."""
+    if source.name == "recording.toml" or (source / "recording.toml").is_file():
+        return False
+    from benchsim.instruments.mount import stated
+
+    return stated.recognises(source)
 
 
 @threadpool_limits.wrap(limits=1)  # of thousands of small matrices a second thread of BLAS makes five times the work

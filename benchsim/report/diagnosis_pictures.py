@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.result import Diagnosis, Stretch
-from benchsim.report.diagnosis_text import KINDS
 from benchsim.report.pictures import EXPLAINED, GREY, MEASURED, STATED, _plain, _save, _tone
+from benchsim.report.vocabulary import BENCH
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,9 @@ ELEMENT_COLOURS: Mapping[str, str] = {
     "screen": "#1f78b4",
     "camera": "#b2182b",
     "time": "#7f6000",
+    "mount": "#5e3c99",
+    "target": "#1f78b4",
+    "sky": "#35978f",
 }
 BEFORE, AFTER = STATED, EXPLAINED
 PER_PAGE = 12
@@ -137,7 +140,9 @@ def observables(path: Path, problem: Problem, d: Diagnosis, title: str) -> None:
     title : str
     """
     r = d.residuals
-    kinds = [k for k in (*KINDS, *sorted(set(problem.kind.tolist()) - set(KINDS))) if (problem.kind == k).any()]
+    kinds = [
+        k for k in (*BENCH.kinds, *sorted(set(problem.kind.tolist()) - set(BENCH.kinds))) if (problem.kind == k).any()
+    ]
     count = len(problem.names)
     held = np.isfinite(r.held_out_after).any()
     figure = Figure(figsize=(2.9 * len(kinds) + 1.6, 0.24 * count + 1.9), layout="constrained")
@@ -167,7 +172,7 @@ def observables(path: Path, problem: Problem, d: Diagnosis, title: str) -> None:
         axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
         axes.xaxis.set_minor_formatter(_ones_twos_fives if high < 12 * low else "")
         axes.tick_params(which="both", labelsize=8)
-        axes.set_title(KINDS.get(kind, (kind, ""))[0], fontsize=9)
+        axes.set_title(BENCH.kinds.get(kind, (kind, ""))[0], fontsize=9)
         axes.set_xlabel("rms (sigma)", fontsize=8)
     every[0].set_yticks(range(count), [f"{n} ({g})" for n, g in zip(problem.names, problem.groups, strict=True)])
     every[0].set_ylim(count - 0.5, -0.5)

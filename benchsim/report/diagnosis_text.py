@@ -9,20 +9,14 @@ from textwrap import fill
 
 from benchsim.diagnosis.problem import Effect
 from benchsim.diagnosis.result import Diagnosis, Found, Limit, Size, SplitBy
+from benchsim.report.vocabulary import BENCH, Vocabulary
 
 WIDTH = 100
-
-KINDS: Mapping[str, tuple[str, str]] = {
-    "c": ("centre line", "mm"),
-    "w": ("width squared", "mm²"),
-    "f": ("logarithm of the flux", ""),
-    "m": ("marks", "px"),
-}
-"""Observables in words, and the unit of their residuals; a kind that is not here is called by its own name."""
 
 SIMULATION = {
     "bench": "the bench as the file states it",
     "vector": "the paper's vector model (no facets, a single ray, no diffraction)",
+    "mount": "the mount as the files state it",
 }
 
 
@@ -35,7 +29,7 @@ class About:
     title : str
     exposures, settings : int
         Used.
-    against : {"bench", "vector"}
+    against : {"bench", "vector", "mount"}
     catalogue : sequence of Effect
         The candidates.
     lost : sequence of str
@@ -46,6 +40,7 @@ class About:
         ``key = value`` of every default taken.
     amended : str
         One sentence on the file that holds what was found; empty: none.
+    words : Vocabulary
     """
 
     title: str
@@ -57,6 +52,7 @@ class About:
     remarks: Sequence[str] = ()
     defaults: Sequence[str] = ()
     amended: str = ""
+    words: Vocabulary = BENCH
 
 
 def summary(d: Diagnosis, about: About) -> str:
@@ -72,16 +68,19 @@ def summary(d: Diagnosis, about: About) -> str:
     str
         Paragraphs of at most 100 columns.
     """
-    count = f"{number(about.exposures, 'exposure')} of {number(about.settings, 'setting')}"
+    words = about.words
+    count = number(about.exposures, words.one)
+    if words is BENCH:
+        count += f" of {number(about.settings, 'setting')}"
     parts = [f"{about.title}: {count}, against {SIMULATION.get(about.against, about.against)}."]
-    parts.append(_headline(d))
-    parts += [_found(f) for f in d.effects]
+    parts.append(_headline(d, words))
+    parts += [_found(f, words) for f in d.effects]
     parts += list(_classes(d, about))
     parts += list(_where(d))
-    parts += list(_better(d))
+    parts += list(_better(d, words))
     parts += list(_next(d))
     parts += list(_limits(d))
-    parts += list(_settings(d))
+    parts += list(_settings(d, words))
     parts += [_wrapped(f"Dropped: {sentence}") for sentence in about.lost]
     if about.remarks or d.notes:
         parts.append("\n".join(_item(sentence) for sentence in (*about.remarks, *d.notes)))
@@ -150,15 +149,17 @@ def _item(text: str) -> str:
     )
 
 
-def _headline(d: Diagnosis) -> str:
+def _headline(d: Diagnosis, words: Vocabulary) -> str:
     names = _listed([f.name for f in d.effects])
     match d.verdict:
         case "nothing-missing":
-            text = "NOTHING IS MISSING that these recordings could show. What would have been seen is listed below."
+            text = f"NOTHING IS MISSING that these {words.recordings} could show. What would have been seen is listed below."
         case "named":
             text = f"SOMETHING IS MISSING from the simulation, and it has a name: {names}."
         case "class":
-            text = "SOMETHING IS MISSING from the simulation, and these recordings leave a choice of what it is"
+            text = (
+                f"SOMETHING IS MISSING from the simulation, and these {words.recordings} leave a choice of what it is"
+            )
             text += f"; {names} is there in any case." if names else "."
         case "located":
             assert d.location is not None
@@ -174,14 +175,14 @@ def _listed(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def _found(f: Found) -> str:
+def _found(f: Found, words: Vocabulary) -> str:
     sure = "named" if f.confidence == "named" else "probable, not certain"
     lines = [f"{f.name} ({f.element}; {sure}, probability {percent(f.probability)})"]
     lines.append(_wrapped(f.says, "  "))
     sizes = [f"{name} = {rounded(size)}" for name, size in f.parameters.items()]
     lines.append(_wrapped("Size: " + ", ".join(sizes) + " (1 sigma).", "  "))
     if f.remedy:
-        lines.append(_wrapped(f"On the bench: {f.remedy}", "  "))
+        lines.append(_wrapped(f"{words.remedy}: {f.remedy}", "  "))
     return "\n".join(lines)
 
 
@@ -243,14 +244,17 @@ def _where(d: Diagnosis) -> Iterator[str]:
     yield "\n".join(lines)
 
 
-def _better(d: Diagnosis) -> Iterator[str]:
+def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     if d.verdict == "nothing-missing":
-        rows = [f"{_kind(k)} {a:.3g} {KINDS.get(k, (k, ''))[1]}".rstrip() for k, (_, a) in d.rms.items()]
+        rows = [
+            f"{words.kinds.get(k, (k, ''))[0]} {a:.3g} {words.kinds.get(k, (k, ''))[1]}".rstrip()
+            for k, (_, a) in d.rms.items()
+        ]
         if rows:
             yield _wrapped("The simulation fits the recordings to " + ", ".join(rows) + " rms, settings fitted.")
     else:
         rows = [
-            f"{_kind(k)} {b:.3g} → {a:.3g} {KINDS.get(k, (k, ''))[1]}".rstrip()
+            f"{words.kinds.get(k, (k, ''))[0]} {b:.3g} → {a:.3g} {words.kinds.get(k, (k, ''))[1]}".rstrip()
             for k, (b, a) in d.rms.items()
             if isfinite(b) and isfinite(a)
         ]
@@ -277,10 +281,6 @@ def _better(d: Diagnosis) -> Iterator[str]:
     else:
         text += "; before, it was within its scatter, so that these recordings show no gain."
     yield _wrapped(text)
-
-
-def _kind(kind: str) -> str:
-    return KINDS.get(kind, (kind, ""))[0]
 
 
 def _sigma(s: SplitBy) -> str:
@@ -334,14 +334,14 @@ def limit_rows(limits: Mapping[str, Limit]) -> list[str]:
     return [f"  {a:<50}{b}".rstrip() for a, b in zip(cells[:half], right, strict=False)]
 
 
-def _settings(d: Diagnosis) -> Iterator[str]:
+def _settings(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     text = []
-    if d.setting_scale > 1.5:
+    if d.setting_scale > 1.5 and words is BENCH:
         text.append(
             f"The settings were off by about {d.setting_scale:.1f} times what the file states as their uncertainty."
         )
     if d.sigma_scale > 1.15:
-        text.append(f"The noise is {d.sigma_scale:.2f} times what the photographs' own error bars say.")
+        text.append(f"The noise is {d.sigma_scale:.2f} times {words.noise}.")
     if d.correlation > 0:
         text.append(f"Neighbouring points err together over {d.correlation:.2g} mm.")
     far = sorted(((k, v) for k, v in d.pulls.items() if abs(v) > 3), key=lambda kv: -abs(kv[1]))

@@ -9,7 +9,8 @@ from math import isfinite
 from textwrap import fill
 
 from benchsim.diagnosis.result import Limit
-from benchsim.report.diagnosis_text import KINDS, SIMULATION, WIDTH, defaults_text, number, size_text, unit_text
+from benchsim.report.diagnosis_text import SIMULATION, WIDTH, defaults_text, number, size_text, unit_text
+from benchsim.report.vocabulary import BENCH
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class Plan:
 
 def isolability(p: Plan) -> str:
     """What could be seen, from which size on, and what could not be told apart."""
-    kinds = ", ".join(KINDS.get(k, (k, ""))[0] for k in p.observables)
+    kinds = ", ".join(BENCH.kinds.get(k, (k, ""))[0] for k in p.observables)
     head = (
         f"{p.title}: {number(p.exposures, 'exposure')} of {number(p.settings, 'setting')}, against "
         f"{SIMULATION.get(p.against, p.against)}. Observables: {kinds}. Computed before any data, the setting "

@@ -8,6 +8,7 @@ do not hold, the mapping in ``page.json``::
 
     {"format": "benchsim-page/1",
      "title": "known-six", "settings": 5,
+     "instrument": "bench", "unit": "mm",                      # optional; "mount" with "arcsec" or "mrad"
      "states": {"before": "without what was found", "after": "with what was found"},   # ends of the slider
      "catalogue": [{"name": "screen-bow", "element": "screen", "says": "The board is bent …"}],
      "exposures": [{"exposure": "001.png", "setting": "s1",
@@ -31,7 +32,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from benchsim.report import page_plots, page_trial, page_words
+from benchsim.report import page_plots, page_trial, page_words, vocabulary
 
 FORMAT = "benchsim-page/1"
 
@@ -146,7 +147,7 @@ def _recording(
                 "name": x["exposure"],
                 "setting": x["setting"],
                 "same": x["same"],
-                "figure": page_plots.residuals(x, before),
+                "figure": page_plots.residuals(x, before, vocabulary.of(extra)),
             }
             for x in exposures
         ],
@@ -164,11 +165,12 @@ def enlarged(exposures: Sequence[Mapping[str, Any]]) -> float:
 def _worst(exposure: Mapping[str, Any]) -> float:
     """Largest distance of trace and prediction [px]."""
     measured = exposure["measured_px"]
-    return max(
+    away = (
         hypot(u - a, v - b)
         for which in ("before_px", "after_px")
         for (u, v), (a, b) in zip(exposure[which], measured, strict=True)
     )
+    return max(away, default=0.0)
 
 
 def _picture(exposure: Mapping[str, Any], jpeg: bytes, factor: float) -> dict[str, Any]:

@@ -13,6 +13,8 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from benchsim.report.vocabulary import BENCH, Vocabulary
+
 WIDTH = 360
 LEFT, RIGHT, TOP = 46, 8, 24
 
@@ -102,7 +104,7 @@ def _rms(values: Numbers) -> float | None:
     return (sum(v * v for v in known) / len(known)) ** 0.5 if known else None
 
 
-def residuals(exposure: Mapping[str, Any], earlier: bool = True) -> Markup:
+def residuals(exposure: Mapping[str, Any], earlier: bool = True, words: Vocabulary = BENCH) -> Markup:
     """Distances of one trace from its prediction along the trace, before and after; below them those left out.
 
     Parameters
@@ -111,6 +113,7 @@ def residuals(exposure: Mapping[str, Any], earlier: bool = True) -> Markup:
         One of ``exposures`` of ``page.json`` (see `report.page`).
     earlier : bool
         Whether those before are drawn too.
+    words : Vocabulary
     """
     earlier = earlier and not exposure["same"]
     s = exposure["s_mm"]
@@ -127,7 +130,7 @@ def residuals(exposure: Mapping[str, Any], earlier: bool = True) -> Markup:
         shown = [*_known(after), *(_known(before) if earlier else [])]
         reach = 1.12 * max((abs(v) for v in shown), default=1.0) or 1.0
         y = Scale(-reach, reach, first + tall, first)
-        factor, unit = (1e3, "µm") if reach < FINE else (1.0, "mm")
+        factor, unit = (1e3, "µm") if reach < FINE and words is BENCH else (1.0, words.unit)
         body += _axis_y(
             y, [v / factor for v in ticks(-factor * reach, factor * reach, 4)], first, f"{word} ({unit})", factor
         )
@@ -140,15 +143,16 @@ def residuals(exposure: Mapping[str, Any], earlier: bool = True) -> Markup:
         b, a = _rms(before), _rms(after)
         if a is not None:
             start = f"{b:.2g} before, " if b is not None and earlier else ""
-            said.append(f"{word}: rms {start}{a:.2g} mm{' after' if start else ''}")
+            said.append(f"{word}: rms {start}{a:.2g} {words.unit}{' after' if start else ''}")
     bottom = top + len(panels) * (tall + gap) - gap
-    body += _axis_x(x, ticks(min(s), max(s), 6), bottom, "along the trace (mm)")
-    name = f"{exposure['exposure']}, setting {exposure['setting']}"
+    body += _axis_x(x, ticks(min(s), max(s), 6), bottom, words.along)
+    name = f"{exposure['exposure']}, setting {exposure['setting']}" if words is BENCH else exposure["exposure"]
+    over = f" over {max(s) - min(s):.0f} mm" if words is BENCH else ""
     return _svg(
         bottom + 34,
         body,
-        f"{name}: distance of the trace from its prediction",
-        f"{'; '.join(said)}. {len(s)} points over {max(s) - min(s):.0f} mm.",
+        f"{name}: {words.distance}",
+        f"{'; '.join(said)}. {len(s)} points{over}.",
     )
 
 

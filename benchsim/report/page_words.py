@@ -7,7 +7,8 @@ from math import inf, log10
 from typing import Any
 
 from benchsim.diagnosis.result import Size
-from benchsim.report.diagnosis_text import KINDS, SIMULATION, number, odds, percent, rounded, unit_text
+from benchsim.report.diagnosis_text import SIMULATION, number, odds, percent, rounded, unit_text
+from benchsim.report.vocabulary import BENCH, Vocabulary, of
 
 Json = Mapping[str, Any]
 
@@ -30,36 +31,38 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
     """
     says = {e["name"]: e["says"] for e in extra["catalogue"]}
     limits = list(d["limits"].items())
+    words = of(extra)
+    count = f"{number(len(extra['exposures']), 'exposure')} of {number(extra['settings'], 'setting')}"
+    if words is not BENCH:
+        count = number(extra["settings"], words.one)
     return {
-        "headline": _headline(d),
-        "basis": f"{number(len(extra['exposures']), 'exposure')} of {number(extra['settings'], 'setting')}, "
-        f"against {SIMULATION.get(d['against'], d['against'])}.",
+        "headline": _headline(d, words),
+        "basis": f"{count}, against {SIMULATION.get(d['against'], d['against'])}.",
+        "remedy": words.remedy,
+        "told": words,
         "says": says,
         "where": _where(d),
         "law": _law(d),
-        "rms": [
-            (KINDS.get(k, (k, ""))[0], KINDS.get(k, (k, ""))[1], v["before"], v["after"])
-            for k, v in d["fit"]["rms"].items()
-        ],
+        "rms": [(*words.kinds.get(k, (k, "")), v["before"], v["after"]) for k, v in d["fit"]["rms"].items()],
         "left_out": _left_out(d),
-        "settings": _settings(d),
+        "settings": _settings(d, words),
         "seen": [(k.split(".")[0], v) for k, v in limits if v["reachable"]],
         "blind": [(k.split(".")[0], v) for k, v in limits if not v["reachable"]],
         "notes": [*d["remarks"], *d["notes"]],
     }
 
 
-def _headline(d: Json) -> str:
+def _headline(d: Json, words: Vocabulary) -> str:
     names = listed([f["name"] for f in d["effects"]])
     besides = f" {names[0].upper()}{names[1:]} is there in any case." if names else ""
     match d["verdict"]:
         case "nothing-missing":
-            return "Nothing is missing that these recordings could show."
+            return f"Nothing is missing that these {words.recordings} could show."
         case "named":
             count = "they have names" if len(d["effects"]) > 1 else "it has a name"
             return f"Something is missing from the simulation, and {count}: {names}."
         case "class":
-            return f"Something is missing from the simulation; these recordings leave a choice of what it is.{besides}"
+            return f"Something is missing from the simulation; these {words.recordings} leave a choice of what it is.{besides}"
         case "located":
             more = f" besides {names}" if names else ""
             element = d["location"]["element"]
@@ -121,12 +124,12 @@ def _chi2(x: float) -> str:
     return minus(f"{x:.0f}")
 
 
-def _settings(d: Json) -> list[str]:
+def _settings(d: Json, words: Vocabulary) -> list[str]:
     noise, out = d["noise"], []
-    if noise["setting_scale"] > 1.5:
+    if noise["setting_scale"] > 1.5 and words is BENCH:
         out.append(f"The settings were off by about {noise['setting_scale']:.1f} times their stated uncertainty.")
     if noise["sigma_scale"] > 1.15:
-        out.append(f"The noise is {noise['sigma_scale']:.2f} times what the photographs' own error bars say.")
+        out.append(f"The noise is {noise['sigma_scale']:.2f} times {words.noise}.")
     if noise["correlation_mm"] > 0:
         out.append(f"Neighbouring points err together over {noise['correlation_mm']:.2g} mm.")
     return out

@@ -184,11 +184,7 @@ def candidates(mount: Mount, records: Records) -> tuple[Effect, ...]:
             continue
         if entry.name == "change-point" and count < FEWEST_FOR_CHANGE:
             continue
-        terms = [
-            Parameter(t.name, unit(mount, t), _cap(mount, t) / 2)
-            for t in entry.terms
-            if _cap(mount, t) > 0
-        ]
+        terms = [Parameter(t.name, unit(mount, t), _cap(mount, t) / 2) for t in entry.terms if _cap(mount, t) > 0]
         if entry.name == "change-point":
             # Between two records each; never with one alone on a side, which is an outlying record.
             grid = tuple(k + 0.5 for k in range(1, count - 2))

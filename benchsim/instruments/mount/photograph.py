@@ -357,6 +357,11 @@ def on_target(found: TargetPhotograph, place: Array) -> Array:
     return found.plane.axes @ (enu(np.asarray(place, float), found.plane.place) - found.plane.origin)
 
 
+def rectified(found: TargetPhotograph, image: Image) -> Image:
+    """Another channel, (h, w) of the photograph, on the map of ``found.light``."""
+    return _Grid.over(found.extent, found.marks.homography, image.shape).rectified(image)
+
+
 def geodetic(place: Array, about: Array) -> Array:
     """Latitude, longitude [deg], height [m] of (east, north, up) mm about an origin of that form: the inverse of
     `paint.enu`, by Newton's method."""

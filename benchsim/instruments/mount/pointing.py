@@ -68,9 +68,7 @@ def read(path: Path) -> Session:
     _plausible(path, numbers, table)
     true, raw = np.radians(table[:, :2]), np.radians(table[:, 2:])
     names = tuple(f"star {k + 1} (line {line})" for k, line in enumerate(numbers))
-    records = Records(
-        names, raw, toward(true[:, 0], true[:, 1]), np.full((len(names), 3), np.nan), ("",) * len(names)
-    )
+    records = Records(names, raw, toward(true[:, 0], true[:, 1]), np.full((len(names), 3), np.nan), ("",) * len(names))
     mount = Mount("az-el", "sky", latitude=latitude)
     return Session(path.stem, path, (path,), mount, records, tuple(remarks))
 
@@ -165,7 +163,9 @@ def _numbers(path: Path, number: int, key: str, text: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) != 2:
-        raise BenchsimError(f"{path}, line {number}: {key}: {text.strip()!r} is not two numbers; mend or remove the star")
+        raise BenchsimError(
+            f"{path}, line {number}: {key}: {text.strip()!r} is not two numbers; mend or remove the star"
+        )
     return values
 
 

@@ -18,6 +18,7 @@ from benchsim.diagnosis.evidence import amplitudes
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 from benchsim.instruments.mount import effects
 from benchsim.instruments.mount.attachments import attachments
+from benchsim.instruments.mount.further import Next
 from benchsim.instruments.mount.outlying import Outlying, outlying
 from benchsim.instruments.mount.prediction import LOST, Predict
 from benchsim.instruments.mount.records import UNITS, Array, Mount, Records, Session, angles
@@ -148,6 +149,7 @@ def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attache
     problem = problem_of(predict, catalogue, sigma)
     if attached:
         problem = replace(problem, attachments=attachments(problem, predict))
+    problem = replace(problem, further=Next(problem, predict, sigma))
     return Built(problem, kept, tuple(names[k] for k in judged.aside), sigma, ())
 
 

@@ -1,0 +1,150 @@
+"""What to record next with a mount: other places of the sun, or more stars where they tell most."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from benchsim.diagnosis import linear
+from benchsim.diagnosis.evidence import amplitudes
+from benchsim.diagnosis.problem import Effect, Further, Problem
+from benchsim.instruments.mount import axes
+from benchsim.instruments.mount.prediction import Predict
+from benchsim.instruments.mount.records import Array, Mount, Records, angles, toward
+
+OBLIQUITY = np.radians(23.44)
+
+SEASONS = (("midsummer", OBLIQUITY), ("equinox", 0.0), ("midwinter", -OBLIQUITY))
+"""Declinations of the sun by the northern name of the season."""
+
+HOURS = (-4.0, -2.0, 0.0, 2.0, 4.0)
+"""From noon, [h] of solar time."""
+
+LOWEST = np.radians(12.0)
+"""Elevation below which nothing is recorded."""
+
+STARS = 8
+"""In a ring of one elevation."""
+
+
+@dataclass(frozen=True)
+class Next:
+    """The recordings that could be taken next, computed when they are asked for."""
+
+    problem: Problem
+    predict: Predict
+    sigma: float
+
+    def __call__(self) -> tuple[Further, ...]:
+        """Every candidate, linearised at the stated mount."""
+        return tuple(
+            _further(self.problem, self.predict, self.sigma, what, records)
+            for what, records in _candidates(self.predict)
+        )
+
+
+def _candidates(predict: Predict) -> Iterator[tuple[str, Records]]:
+    mount, records = predict.mount, predict.records
+    if mount.observes == "sky":
+        for elevation in (20, 40, 60, 75):
+            azimuth = 2 * np.pi * np.arange(STARS) / STARS
+            reading = np.column_stack([azimuth, np.full(STARS, np.radians(elevation))])
+            where = toward(reading[:, 0], reading[:, 1])
+            yield f"Point at {STARS} stars all around at an elevation of {elevation} deg.", _sky(mount, reading, where)
+        return
+    latitude = mount.latitude if mount.latitude is not None else np.radians(45.0)
+    targets = {
+        t: records.spot[[k for k, o in enumerate(records.target) if o == t]].mean(axis=0) for t in records.target
+    }
+    for season, declination in SEASONS:
+        for hour in HOURS:
+            sun = _sun(latitude, declination, hour)
+            azimuth, elevation = angles(sun)
+            if elevation < LOWEST:
+                continue
+            for target, spot in targets.items():
+                reading = aimed(mount, sun, spot, records.reading)
+                if reading is None:
+                    continue
+                when = "at noon" if hour == 0 else f"{abs(hour):g} h {'before' if hour < 0 else 'after'} noon"
+                what = (
+                    f"Record a spot on {target} at {season} {when} (sun at azimuth {np.degrees(azimuth):.0f} deg from "
+                    f"north through east, elevation {np.degrees(elevation):.0f} deg)."
+                )
+                yield what, Records(("next",), reading[None], sun[None], spot[None], (target,))
+
+
+def _sky(mount: Mount, reading: Array, where: Array) -> Records:
+    n = len(reading)
+    reading = reading - mount.zero
+    return Records(tuple(f"next {k + 1}" for k in range(n)), reading, where, np.full((n, 3), np.nan), ("",) * n)
+
+
+def _sun(latitude: float, declination: float, hour: float) -> Array:
+    """Unit vector toward the sun at an hour angle of ``hour`` hours, (3,)."""
+    h = hour * np.pi / 12
+    east = -np.cos(declination) * np.sin(h)
+    north = np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(declination) * np.cos(h)
+    up = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(h)
+    return np.array([east, north, up])
+
+
+def aimed(mount: Mount, sun: Array, spot: Array, known: Array) -> Array | None:
+    """Readings (2,) at which the stated mount sends the sun's light to a spot; None where it cannot be reached.
+
+    Found by least squares from each of the known readings' middle and extremes, actuators within their travel.
+    """
+
+    def miss(reading: Array) -> Array:
+        normal, centre = axes.pointing(mount, reading[None] * unit, {})
+        beam = 2 * normal[0] * (normal[0] @ sun) - sun
+        toward_spot = spot - centre[0]
+        out = np.asarray(1e3 * (beam - toward_spot / np.linalg.norm(toward_spot)))
+        return np.where(np.isfinite(out), out, 1e3)
+
+    unit = np.maximum(np.ptp(known, axis=0), 1e-3 * np.maximum(np.abs(known).max(axis=0), 1.0))
+    for start in (np.median(known, axis=0), *known[:: max(1, len(known) // 4)]):
+        found = least_squares(miss, start / unit, x_scale=0.1)
+        if np.abs(found.fun).max() < 1e-4 and (not mount.actuators or (found.x >= 0).all()):
+            return np.asarray(found.x * unit)
+    return None
+
+
+def _further(problem: Problem, predict: Predict, sigma: float, what: str, records: Records) -> Further:
+    n = len(records.names)
+    order = {t: k for t, k in zip(predict.records.target, predict.target_number, strict=True)}
+    number = np.array([order.get(t, 0) for t in records.target], np.intp)
+    own = replace(predict, records=records, target_number=number, drift=np.zeros((n, 0)))
+    stub = replace(
+        problem,
+        data=np.zeros(2 * n),
+        block=np.repeat(np.arange(n), 2),
+        kind=np.tile(np.array(["across", "up"]), n),
+        position=np.zeros(2 * n),
+        stretch=np.full(2 * n, -1),
+        covariance=tuple(np.eye(2) * sigma**2 for _ in range(n)),
+        names=records.names,
+        groups=records.names,
+        predict=own,
+        attachments=(),
+        further=None,
+    )
+    nuisances = [p for p in problem.nuisances if not p.name.startswith("drift.")]
+    many = [p for e in _steady(problem.catalogue) for p in amplitudes(e)]
+    slopes = linear.columns(stub, {}, (*nuisances, *many))
+    return Further(
+        kind="recording",
+        what=what,
+        covariance=np.eye(2 * n) * sigma**2,
+        nuisance={p.name: slopes[:, k] for k, p in enumerate(nuisances)},
+        priors={},
+        effect={p.name: slopes[:, len(nuisances) + k] for k, p in enumerate(many)},
+    )
+
+
+def _steady(catalogue: Sequence[Effect]) -> list[Effect]:
+    """Effects that a single later record shows: a change in time is none."""
+    return [e for e in catalogue if e.name != "change-point"]

@@ -1,0 +1,270 @@
+"""``benchsim diagnose`` for two-axis mounts: what a heliostat's or a telescope's recordings say of its drift."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchsim import diagnosis
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.writing import write_text
+from benchsim.diagnosis.evidence import shapes
+from benchsim.diagnosis.result import Diagnosis
+from benchsim.instruments.mount import effects, stated
+from benchsim.instruments.mount import problem as mount_problem
+from benchsim.instruments.mount.problem import Built
+from benchsim.instruments.mount.records import UNITS, Session
+from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.reporting import report
+from benchsim.report import diagnosis_pictures as pictures
+from benchsim.report import mount_pictures
+from benchsim.report.diagnosis_text import About, summary
+from benchsim.report.page import FORMAT
+from benchsim.report.vocabulary import mount as vocabulary
+
+ROUNDS = 2
+"""Times at most that outlying records are looked for about a fit, and the rest diagnosed anew."""
+
+DRIFT = "drift."
+
+
+@dataclass(frozen=True)
+class MountDiagnosis:
+    """A finished diagnosis of a mount and what it rests on.
+
+    Attributes
+    ----------
+    session : Session
+        As it was read.
+    built : Built
+        The problem, and which records were set aside.
+    diagnosis : Diagnosis
+    found : mapping of str to mapping of str to float
+        Stated effects with what was found added, in the catalogue's units.
+    folder : Path
+    """
+
+    session: Session
+    built: Built
+    diagnosis: Diagnosis
+    found: dict[str, dict[str, float]]
+    folder: Path
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What limits the conclusion, one sentence each."""
+        b, unit = self.built, self.built.session.mount.unit
+        out = [*self.session.remarks, *b.remarks]
+        if unit == "arcsec":
+            zero = b.session.mount.zero / UNITS["arcsec"]
+            values, sizes = self.diagnosis.values, _posterior(b)
+            ia, ie = (zero[k] + values.get(n, 0.0) for k, n in enumerate(("IA", "IE")))
+            out.append(
+                f"The encoders' zeros are fitted in every hypothesis: IA = {ia:.2f} ± {sizes[0]:.2f}, IE = {ie:.2f} ± "
+                f"{sizes[1]:.2f} arcsec (true less read)."
+            )
+        out.append(f"Errors of a single record, as the records show them: {b.sigma:.3g} {unit} across and up.")
+        step = next((f for f in self.diagnosis.effects if f.name == "change-point"), None)
+        if step is not None:
+            number = int(np.ceil(step.parameters["change"].value))
+            name = b.session.records.names[min(number, len(b.session.records.names) - 1)]
+            out.append(
+                f"Changed at record {number + 1}: from {name} on the mount is another; diagnose both parts apart."
+            )
+        return tuple(out)
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """Records that were set aside, one sentence each."""
+        unit = self.built.session.mount.unit
+        return tuple(
+            f"{name} lies apart from all others by more than chance allows, and was set aside (errors {self.built.sigma:.3g} "
+            f"{unit})."
+            for name in self.built.aside
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``diagnosis.json``."""
+        plain = self.diagnosis.as_dict()
+        plain["pulls"] = {k: v for k, v in plain["pulls"].items() if not k.startswith(DRIFT)}
+        plain["fit"].pop("rms_mm")
+        return {
+            **plain,
+            "against": "mount",
+            "mount": {"axes": self.session.mount.axes, "observes": self.session.mount.observes},
+            "set_aside": list(self.built.aside),
+            "lost": list(self.lost),
+            "remarks": list(self.remarks),
+            "defaults_used": [],
+        }
+
+    def text(self) -> str:
+        """Plain sentences for ``summary.txt``."""
+        put = [n for n, terms in self.found.items() if terms != self.session.effects.get(n)]
+        names = ", ".join(put)
+        return summary(
+            self.diagnosis,
+            About(
+                title=self.session.title,
+                exposures=len(self.built.problem.names),
+                settings=len(self.built.problem.names),
+                against="mount",
+                catalogue=self.built.problem.catalogue,
+                lost=self.lost,
+                remarks=self.remarks,
+                amended=f"amended.toml states the mount with what was found: {names}." if put else "",
+                words=vocabulary(self.session.mount.unit),
+            ),
+        )
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        return f"{self.text()}\n\nwritten: {self.folder}/"
+
+
+def diagnose(
+    source: Path,
+    output: Path | str | None = None,
+    *,
+    tower: Path | None = None,
+    draw: bool = True,
+    progress: Progress = silent,
+) -> MountDiagnosis:
+    """Say what drifts in a mount, from its recordings alone.
+
+    Parameters
+    ----------
+    source : Path
+        A PAINT folder, a pointing file, or an ``amended.toml`` of one.
+    output : path, optional
+        Default ``./NAME-diagnose/``.
+    tower : Path, optional
+        Tower file of PAINT recordings.
+    draw : bool
+        Whether to draw pictures.
+    progress : callable
+
+    Returns
+    -------
+    MountDiagnosis
+
+    Raises
+    ------
+    BenchsimError
+        If the recordings or the folder cannot be used.
+    """
+    folder = Path(output) if output is not None else default_folder(source, "diagnose")
+    progress("reading the records", 0.0)
+    session = stated.read(source, tower)
+    with output_folder(folder, "diagnose", session.files, {"pictures": draw}) as staging:
+        result = diagnose_session(session, folder, progress=progress)
+        write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
+        write_text(staging / "summary.txt", result.text() + "\n")
+        stated.write(session, result.found, staging / "amended.toml", folder)
+        write_text(staging / "page.json", json.dumps(_page(result), allow_nan=False) + "\n")
+    if draw:
+        progress("drawing", 0.9)
+        b, title = result.built, session.title
+        pictures.probability(folder / "probability.png", result.diagnosis, b.problem.catalogue, title)
+        mount_pictures.residuals(
+            folder / "residuals.png", b.session.records.source, result.diagnosis.residuals, session.mount.unit, title
+        )
+    report(folder)
+    progress("done", 1.0)
+    return result
+
+
+@threadpool_limits.wrap(limits=1)
+def diagnose_session(session: Session, folder: Path = Path(), *, progress: Progress = silent) -> MountDiagnosis:
+    """Diagnose recordings that were read; writes nothing."""
+    if not np.isfinite(session.records.source).all():
+        raise BenchsimError(f"{session.path}: a direction is not finite; mend the records")
+    progress("looking for outlying records", 0.05)
+    built = mount_problem.build(session)
+    found = diagnosis.diagnose(built.problem, lambda what, done: progress(what, 0.1 + 0.7 * done))
+    for _ in range(ROUNDS):
+        if found.verdict == "nothing-missing":
+            break
+        shaped = {p.name for e in built.problem.catalogue for p in shapes(e)}
+        fewer = mount_problem.again(built, {k: v for k, v in found.values.items() if k not in shaped or found.effects})
+        if fewer is None:
+            break
+        built = fewer
+        found = diagnosis.diagnose(built.problem, lambda what, done: progress(what, 0.1 + 0.7 * done))
+    return MountDiagnosis(session, built, found, amended(session, found), folder)
+
+
+def amended(session: Session, d: Diagnosis) -> dict[str, dict[str, float]]:
+    """Stated effects with what was found added; of a class its most probable member."""
+    out = {n: dict(terms) for n, terms in session.effects.items()}
+    chosen = [f.name for f in d.effects]
+    chosen += [n for c in d.classes if c.members and d.verdict == "class" for n in c.members[0]]
+    for effect in effects.candidates(session.mount, session.records):
+        if effect.name not in chosen:
+            continue
+        own = out.setdefault(effect.name, {})
+        for p in effect.parameters:
+            if p.name in d.values:
+                own[p.name] = d.values[p.name] + (own.get(p.name, 0.0) if not p.grid else 0.0)
+    return {n: terms for n, terms in out.items() if terms}
+
+
+def _posterior(built: Built) -> tuple[float, float]:
+    """1 sigma of a telescope's encoder zeros where nothing else is fitted."""
+    n = len(built.problem.names)
+    cos2 = float((built.session.records.source[:, :2] ** 2).sum())
+    return built.sigma / np.sqrt(max(cos2, 1e-9)), built.sigma / np.sqrt(n)
+
+
+def _page(result: MountDiagnosis) -> dict[str, Any]:
+    """``page.json``: residuals across and up, by the number of the record."""
+    d, problem = result.diagnosis, result.built.problem
+    r, unit = d.residuals, result.session.mount.unit
+
+    def plain(values: Any) -> list[float | None]:
+        return [float(v) if np.isfinite(v) else None for v in values]
+
+    rows = []
+    for kind in ("across", "up"):
+        mine = problem.kind == kind
+        rows.append(
+            {
+                "exposure": f"{kind} ({unit})",
+                "setting": "",
+                "photograph": None,
+                "size_px": [1, 1],
+                "same": d.verdict == "nothing-missing",
+                "measured_px": [],
+                "before_px": [],
+                "after_px": [],
+                "s_mm": [float(k) for k in range(1, int(mine.sum()) + 1)],
+                "residual_mm": {
+                    "before": plain(r.before[mine]),
+                    "after": plain(r.after[mine]),
+                    "held_out_before": plain(r.held_out_before[mine]),
+                    "held_out_after": plain(r.held_out_after[mine]),
+                },
+                "sigma_mm": plain(r.sigma[mine]),
+                "sigma_alone_mm": plain(r.sigma[mine]),
+            }
+        )
+    found = d.verdict != "nothing-missing"
+    return {
+        "format": FORMAT,
+        "title": result.session.title,
+        "instrument": "mount",
+        "unit": unit,
+        "settings": len(problem.names),
+        "states": {
+            "before": "the mount as stated",
+            "after": "with what was found" if found else "the mount as stated",
+        },
+        "catalogue": [{"name": e.name, "element": e.element, "says": e.says} for e in problem.catalogue],
+        "exposures": rows,
+    }
