@@ -90,7 +90,7 @@ def factors(covariance: Sequence[Array]) -> tuple[Array, ...]:
     """Cholesky factors L of the blocks' covariances."""
     if _alike(covariance):
         return tuple(np.linalg.cholesky(np.stack(covariance)))
-    return tuple(np.linalg.cholesky(c) for c in covariance)
+    return tuple(np.asarray(np.linalg.cholesky(c), float) for c in covariance)
 
 
 def lowered(lower: Sequence[Array], columns: Array) -> Array:

@@ -15,6 +15,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.result import Diagnosis
+from benchsim.instruments.bench import amend
 from benchsim.instruments.mount import effects, stated
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
@@ -84,8 +85,8 @@ class MountDiagnosis:
         """Records that were set aside, one sentence each."""
         unit = self.built.session.mount.unit
         return tuple(
-            f"{name} lies apart from all others by more than chance allows, and was set aside (errors {self.built.sigma:.3g} "
-            f"{unit})."
+            f"{name} lies apart from all others by more than chance allows, and was set aside (errors "
+            f"{self.built.sigma:.3g} {unit})."
             for name in self.built.aside
         )
 
@@ -203,8 +204,7 @@ def diagnose_session(session: Session, folder: Path = Path(), *, progress: Progr
 def amended(session: Session, d: Diagnosis) -> dict[str, dict[str, float]]:
     """Stated effects with what was found added; of a class its most probable member."""
     out = {n: dict(terms) for n, terms in session.effects.items()}
-    chosen = [f.name for f in d.effects]
-    chosen += [n for c in d.classes if c.members and d.verdict == "class" for n in c.members[0]]
+    chosen = {*(f.name for f in d.effects), *amend.chosen(d)}
     for effect in effects.candidates(session.mount, session.records):
         if effect.name not in chosen:
             continue

@@ -153,13 +153,13 @@ def _headline(d: Diagnosis, words: Vocabulary) -> str:
     names = _listed([f.name for f in d.effects])
     match d.verdict:
         case "nothing-missing":
-            text = f"NOTHING IS MISSING that these {words.recordings} could show. What would have been seen is listed below."
+            text = f"NOTHING IS MISSING that these {words.recordings} could show. "
+            text += "What would have been seen is listed below."
         case "named":
             text = f"SOMETHING IS MISSING from the simulation, and it has a name: {names}."
         case "class":
-            text = (
-                f"SOMETHING IS MISSING from the simulation, and these {words.recordings} leave a choice of what it is"
-            )
+            text = f"SOMETHING IS MISSING from the simulation, and these {words.recordings} leave a choice of what "
+            text += "it is"
             text += f"; {names} is there in any case." if names else "."
         case "located":
             assert d.location is not None
@@ -251,7 +251,8 @@ def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
             for k, (_, a) in d.rms.items()
         ]
         if rows:
-            yield _wrapped("The simulation fits the recordings to " + ", ".join(rows) + " rms, settings fitted.")
+            start = f"The simulation fits the {words.recordings} to "
+            yield _wrapped(start + ", ".join(rows) + " rms, settings fitted.")
     else:
         rows = [
             f"{words.kinds.get(k, (k, ''))[0]} {b:.3g} → {a:.3g} {words.kinds.get(k, (k, ''))[1]}".rstrip()
@@ -344,9 +345,11 @@ def _settings(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
         text.append(f"The noise is {d.sigma_scale:.2f} times {words.noise}.")
     if d.correlation > 0:
         text.append(f"Neighbouring points err together over {d.correlation:.2g} mm.")
-    far = sorted(((k, v) for k, v in d.pulls.items() if abs(v) > 3), key=lambda kv: -abs(kv[1]))
+    far = sorted(
+        ((k, v) for k, v in d.pulls.items() if abs(v) > 3 and not k.startswith("drift.")), key=lambda kv: -abs(kv[1])
+    )
     if far:
-        words = ", ".join(f"{k} ({v:+.1f} sigma)" for k, v in far[:5])
-        text.append(f"Far from where it was set: {words}.")
+        listed = ", ".join(f"{k} ({v:+.1f} sigma)" for k, v in far[:5])
+        text.append(f"Far from where it was set: {listed}.")
     if text:
         yield _wrapped(" ".join(text))

@@ -62,7 +62,8 @@ def _headline(d: Json, words: Vocabulary) -> str:
             count = "they have names" if len(d["effects"]) > 1 else "it has a name"
             return f"Something is missing from the simulation, and {count}: {names}."
         case "class":
-            return f"Something is missing from the simulation; these {words.recordings} leave a choice of what it is.{besides}"
+            choice = f"these {words.recordings} leave a choice of what it is"
+            return f"Something is missing from the simulation; {choice}.{besides}"
         case "located":
             more = f" besides {names}" if names else ""
             element = d["location"]["element"]

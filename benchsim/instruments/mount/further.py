@@ -49,11 +49,11 @@ class Next:
 def _candidates(predict: Predict) -> Iterator[tuple[str, Records]]:
     mount, records = predict.mount, predict.records
     if mount.observes == "sky":
-        for elevation in (20, 40, 60, 75):
+        for height in (20, 40, 60, 75):
             azimuth = 2 * np.pi * np.arange(STARS) / STARS
-            reading = np.column_stack([azimuth, np.full(STARS, np.radians(elevation))])
+            reading = np.column_stack([azimuth, np.full(STARS, np.radians(height))])
             where = toward(reading[:, 0], reading[:, 1])
-            yield f"Point at {STARS} stars all around at an elevation of {elevation} deg.", _sky(mount, reading, where)
+            yield f"Point at {STARS} stars all around at an elevation of {height} deg.", _sky(mount, reading, where)
         return
     latitude = mount.latitude if mount.latitude is not None else np.radians(45.0)
     targets = {
@@ -66,15 +66,15 @@ def _candidates(predict: Predict) -> Iterator[tuple[str, Records]]:
             if elevation < LOWEST:
                 continue
             for target, spot in targets.items():
-                reading = aimed(mount, sun, spot, records.reading)
-                if reading is None:
+                at = aimed(mount, sun, spot, records.reading)
+                if at is None:
                     continue
                 when = "at noon" if hour == 0 else f"{abs(hour):g} h {'before' if hour < 0 else 'after'} noon"
                 what = (
                     f"Record a spot on {target} at {season} {when} (sun at azimuth {np.degrees(azimuth):.0f} deg from "
                     f"north through east, elevation {np.degrees(elevation):.0f} deg)."
                 )
-                yield what, Records(("next",), reading[None], sun[None], spot[None], (target,))
+                yield what, Records(("next",), at[None], sun[None], spot[None], (target,))
 
 
 def _sky(mount: Mount, reading: Array, where: Array) -> Records:

@@ -1,10 +1,10 @@
 """Records that lie apart from all others, and how large the errors of the rest are.
 
-One record with a wrong star, or a spot of another heliostat, bends every fit. Each single effect and each pair is fitted
-to first order with Student's t errors (ν = 3), which such a record can hardly pull, and the most probable of them grows by what helps; where it
-leaves a record further out than the generalised extreme Studentized deviate test (Rosner 1983,
-https://doi.org/10.1080/00401706.1983.10487848) allows, that record is set aside. A change of the mount is not taken for
-outliers: where more than a sixth of the records would go, none goes.
+One record with a wrong star, or a spot of another heliostat, bends every fit. Each single effect and each pair is
+fitted to first order with Student's t errors (ν = 3), which such a record can hardly pull, and the most probable of
+them grows by what helps; where it leaves a record further out than the generalised extreme Studentized deviate test
+(Rosner 1983, https://doi.org/10.1080/00401706.1983.10487848) allows, that record is set aside. A change of the mount is
+not taken for outliers: where more than a sixth of the records would go, none goes.
 """
 
 from __future__ import annotations

@@ -67,8 +67,8 @@ def read(folder: Path, tower: Path | None = None) -> Session:
     position = enu(triple(heliostat, properties, "heliostat_position"), origin)
     if np.hypot(*position[:2]) > 1e3 * FAR_M:
         raise BenchsimError(
-            f"{heliostat}: heliostat_position: {np.hypot(*position[:2]) / 1e6:.3g} km from the tower; write latitude and "
-            "longitude in deg and the height in m, and name the right tower with --tower"
+            f"{heliostat}: heliostat_position: {np.hypot(*position[:2]) / 1e6:.3g} km from the tower; write latitude "
+            "and longitude in deg and the height in m, and name the right tower with --tower"
         )
     paths = sorted(folder.glob(CALIBRATION), key=_order)
     remarks: list[str] = []
@@ -205,8 +205,8 @@ def _recording(
     off = float(np.linalg.norm(spot - centre)) / 1e3
     if off > OFF_TARGET_M:
         raise BenchsimError(
-            f"{path}: focal_spot.{method}: {off:.3g} m from the centre of {target}, which is off the target; mend the spot, "
-            "the target's name, or the tower file"
+            f"{path}: focal_spot.{method}: {off:.3g} m from the centre of {target}, which is off the target; mend the "
+            "spot, the target's name, or the tower file"
         )
     sun = toward(np.array(np.pi - math.radians(azimuth)), np.array(math.radians(elevation)))
     return steps, sun, spot, target, name
@@ -233,8 +233,8 @@ def _actuators(path: Path, data: Mapping[str, Any]) -> tuple[Actuator, ...]:
         offset, radius, increment = get("offset"), get("pivot_radius"), get("increment")
         if not (0 < offset < 5 and 0 < radius < 5 and increment > 0):
             raise BenchsimError(
-                f"{path}: {key}: offset {offset:g}, pivot_radius {radius:g} m and increment {increment:g} steps per m are "
-                "no actuator of a heliostat; write metres"
+                f"{path}: {key}: offset {offset:g}, pivot_radius {radius:g} m and increment {increment:g} steps per "
+                "m are no actuator of a heliostat; write metres"
             )
         first = -math.pi / 2 if k == 0 else 0.0
         out.append(

@@ -186,16 +186,17 @@ def _plausible(path: Path, numbers: Sequence[int], table: Array) -> None:
             raise BenchsimError(f"{path}, line {line}: a number is not finite; mend or remove the line")
         if max(abs(row[1]), abs(row[3])) > 90.0 + 1.0 or max(abs(row[0]), abs(row[2])) > 720.0:
             raise BenchsimError(
-                f"{path}, line {line}: altitude {row[1]:g} and {row[3]:g} deg, azimuth {row[0]:g} and {row[2]:g} deg are "
-                "no directions; the columns are azimuth and altitude true, azimuth and altitude as read, in deg"
+                f"{path}, line {line}: altitude {row[1]:g} and {row[3]:g} deg, azimuth {row[0]:g} and {row[2]:g} deg "
+                "are no directions; the columns are azimuth and altitude true, azimuth and altitude as read, in deg"
             )
     if len(table) >= 3 and np.abs(table).max() <= 2 * np.pi:
         raise BenchsimError(
-            f"{path}, line {numbers[0]}: no angle exceeds {np.abs(table).max():.3g}: these look like radians; write degrees"
+            f"{path}, line {numbers[0]}: no angle exceeds {np.abs(table).max():.3g}: these look like radians; "
+            "write degrees"
         )
     rise = np.abs(table[:, 1] - table[:, 3])
     if len(table) >= 3 and np.median(rise) > 5.0:
         raise BenchsimError(
-            f"{path}, line {numbers[0]}: true and read altitudes differ by {np.median(rise):.3g} deg in the median; the "
-            "columns are azimuth and altitude true, azimuth and altitude as read, in deg"
+            f"{path}, line {numbers[0]}: true and read altitudes differ by {np.median(rise):.3g} deg in the median; "
+            "the columns are azimuth and altitude true, azimuth and altitude as read, in deg"
         )

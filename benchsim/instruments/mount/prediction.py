@@ -14,7 +14,7 @@ from benchsim.instruments.mount import axes, sky
 from benchsim.instruments.mount.records import UNITS, Array, Mount, Records
 
 LOST = 1e6
-"""Distance, in the mount's unit, of a prediction that does not exist (no triangle closes, the beam goes underground)."""
+"""Distance, in the mount's unit, of a prediction that does not exist: no triangle of an actuator closes."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Predict:
             for j, name in enumerate((f"drift.across_{k + 1}", f"drift.up_{k + 1}")):
                 if name in x:
                     out[:, j] += self.drift[i, k] * x[name]
-        return np.where(np.isfinite(out).all(axis=1)[:, None], out, LOST)
+        return np.where(np.isfinite(out).all(axis=1, keepdims=True), out, LOST)
 
     def _moved(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> Array:
         """Shift of the recorded spots (T, 3)."""

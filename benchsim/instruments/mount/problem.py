@@ -123,7 +123,7 @@ def again(built: Built, values: dict[str, float], *, attached: bool = True) -> B
 
 
 def look(problem: Problem, at: dict[str, float] | None = None, *, everything: float | None = None) -> Outlying:
-    """Which records lie apart, about a point of the parameters; errors are estimated unless ``everything`` states them."""
+    """Which records lie apart, about a point of the parameters; errors are at least ``everything``."""
     values = at or {}
     residual = problem.data - linear.predict_all(problem, values)
     own = {e.name: amplitudes(e) for e in problem.catalogue}

@@ -49,7 +49,7 @@ def seen(mount: Mount, source: Array, x: Inside) -> Array:
 
 
 def refraction(direction: Array) -> Array:
-    """Standard refraction [rad] of unit vectors (T, 3), by the formula of the solar position algorithm (NREL/TP-560-34302)."""
+    """Standard refraction [rad] of unit vectors (T, 3), by Reda & Andreas 2004, NREL/TP-560-34302."""
     elevation = np.degrees(np.arcsin(np.clip(direction[:, 2], -1, 1)))
     return np.radians(spa.atmospheric_refraction_correction(PRESSURE_HPA, TEMPERATURE_C, elevation, 0.5667))
 
