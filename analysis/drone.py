@@ -259,6 +259,13 @@ def budget_lines(name: str, o: Outcomes) -> list[str]:
             f"    covers at {100 * level:.0f} %: x {wilson(int(inside[:, 0].sum()), len(inside))}, "
             f"y {wilson(int(inside[:, 1].sum()), len(inside))}, both together {wilson(int(inside.sum()), n)}"
         )
+    if not o.sigma_sys.any():
+        pull = o.error / o.sigma_mean_frames
+        inside = [int((np.abs(pull) < stats.norm.ppf((1 + level) / 2)).sum()) for level in LEVELS]
+        out.append(
+            f"    with the glints of one frame as one draw: pull std {pull.std():.3f}, covers at 68 % "
+            f"{wilson(inside[0], n)}, at 95 % {wilson(inside[1], n)}"
+        )
     odd = o.p_normal < 0.05
     out.append(
         f"    Shapiro–Wilk below 0.05: {wilson(int(odd.sum()), n)}; pull std {o.pull[odd].std():.2f} there, "
@@ -324,11 +331,12 @@ scatter, with glints that are not independent."""
 
 @dataclass(frozen=True)
 class Effect:
-    """What a source did alone [rad]: rms width, rms σ_mean, rms error with its standard error."""
+    """What a source did alone [rad]: rms width, rms σ_mean (also by frames), rms error with its standard error."""
 
     source: Source
     width: float
     sigma_mean: float
+    by_frames: float
     error: float
     error_se: float
     odd: float
@@ -350,10 +358,8 @@ class Effect:
 def sources(flights: int, seed: int) -> list[Effect]:
     """Table 1, one survey per row."""
     print(f"\nsources (float64 predictor, seeds {seed}–{seed + len(SOURCES) - 1}, {12 * flights} heliostats each)")
-    print(
-        f"  {'':32s} {'sigma_ad':>8s} {'sigma_mean':>10s}   {'error of axis':17s} {'error/':>6s}   p<.05  found", end=""
-    )
-    print(f"{'':7s}  printed\n{'':76s}sigma_mean  {'':5s}  broad shift  broad shift")
+    print(f"  {'':32s} {'':8s}  {'':9s}   {'':16s}  error / sigma_mean  Shapiro  broadens       shifts")
+    print(f"  {'':32s} sigma_ad sigma_mean   error of axis        plain by frames  p<.05  found printed  found printed")
     out = []
     for k, s in enumerate(SOURCES):
         o = survey(s.errors, seed + k, flights, **({"only": half_of} if s.half else {}))[0]
@@ -364,16 +370,17 @@ def sources(flights: int, seed: int) -> list[Effect]:
             s,
             math.sqrt((o.sigma_ad**2).mean()),
             math.sqrt((o.sigma_mean**2).mean()),
+            math.sqrt((o.sigma_mean_frames**2).mean()),
             math.sqrt(mean),
             by_flight.std(ddof=1) / math.sqrt(flights) / (2 * math.sqrt(mean)),
             float((o.p_normal < 0.05).mean()),
         )
         out.append(e)
-        printed = f"  {s.broadens:5s} {s.shifts:5s}{'' if e.agrees else ' differs'}" if s.broadens else ""
+        marks = f"{'x' if e.broadens else '–':5s} {s.broadens:7s}  {'x' if e.shifts else '–':5s} {s.shifts:7s}"
         print(
             f"  {s.name:32s} {1e3 * e.width:8.4f}  {1e3 * e.sigma_mean:9.4f}   {1e3 * e.error:7.4f} ± "
-            f"{1e3 * e.error_se:.4f}  {e.error / e.sigma_mean:8.2f}  {e.odd:5.2f}  "
-            f"{'x' if e.broadens else '–':5s} {'x' if e.shifts else '–':5s}{printed}"
+            f"{1e3 * e.error_se:.4f}  {e.error / e.sigma_mean:7.2f}  {e.error / e.by_frames:7.2f}  {e.odd:7.2f}  "
+            f"{marks}{'' if e.agrees or not s.broadens else '  differs'}"
         )
     return out
 
@@ -416,7 +423,8 @@ def frame_picture(seed: int, out: Path, samples: int) -> None:
         for h, m in zip(heliostats, mirrors, strict=True)
     ]
     print(
-        f"\nframe {f} of seed {seed}: {len(mirrors)} mirrors identified, corners {np.median(off):.2f} px off (median; worst {np.max(off):.2f}), "
+        f"\nframe {f} of seed {seed}: {len(mirrors)} mirrors identified, corners {np.median(off):.2f} px off "
+        f"(median; worst {np.max(off):.2f}), "
         f"{sum(map(len, spots))} glints found, {counts[f]} predicted"
     )
     title = f"Frame {f}: {len(mirrors)} heliostats, {sum(map(len, spots))} glints found"

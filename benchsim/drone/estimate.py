@@ -60,7 +60,10 @@ class Pointing:
     sigma_ad : (2,) ndarray
         Standard deviation of the differences kept [rad].
     sigma_mean : (2,) ndarray
-        σ_ad/√n [rad].
+        σ_ad/√n, the paper's [rad].
+    sigma_mean_frames : (2,) ndarray
+        The same with the glints of one frame taken for one draw, as they share its camera position and, close together,
+        the mirror's slope [rad]. No part of the paper's budget.
     p_normal : (2,) ndarray
         Shapiro–Wilk: below 0.05 the differences are not normal, and the paper holds σ_mean for an order of magnitude.
     """
@@ -73,6 +76,7 @@ class Pointing:
     second: int
     sigma_ad: Array
     sigma_mean: Array
+    sigma_mean_frames: Array
     p_normal: Array
 
 
@@ -180,8 +184,9 @@ def estimate(
 
     Notes
     -----
-    σ_mean takes the glints for independent. They are not where one frame shows several, or where slope errors reach
-    further than the pattern's pitch; `analysis/drone.py` measures what that does to its coverage.
+    σ_mean takes the glints for independent, and the mirror for a sample of many. It says too little where one frame
+    shows several glints (``sigma_mean_frames`` mends that), and too much where slope errors reach further than the
+    pattern's pitch: then the mean over the glints is nearly that over the mirror. `analysis/drone.py` measures both.
     """
     n = len(sightings.frame)
     if n < FEWEST:
@@ -195,9 +200,14 @@ def estimate(
     kept = ~(outliers(d[:, 0], most) | outliers(d[:, 1], most))
     mount, d = _rest(sightings, cameras, lamps, mount, expected, kept, steps)
     sigma = d[kept].std(axis=0, ddof=1)
+    frames, which = np.unique(sightings.frame[kept], return_inverse=True)
+    if len(frames) < 2:
+        raise BenchsimError("all glints of the heliostat are in one frame: fly a pattern over it")
+    sums = np.stack([np.bincount(which, d[kept, i]) for i in range(2)])
+    by_frame = np.sqrt((sums**2).sum(axis=1) * len(frames) / (len(frames) - 1)) / kept.sum()
     p = np.array([stats.shapiro(d[kept, i]).pvalue for i in range(2)])
     axis = axes(mount)[0] @ mean_normal(reference)
-    return Pointing(mount, axis, d, kept, np.array(steps), second, sigma, sigma / math.sqrt(kept.sum()), p)
+    return Pointing(mount, axis, d, kept, np.array(steps), second, sigma, sigma / math.sqrt(kept.sum()), by_frame, p)
 
 
 def _rest(

@@ -31,7 +31,7 @@ class Outcomes:
     ----------
     error : (n, 2) ndarray
         Of the optical axis.
-    sigma_ad, sigma_mean, p_normal : (n, 2) ndarray
+    sigma_ad, sigma_mean, sigma_mean_frames, p_normal : (n, 2) ndarray
         As in `Pointing`.
     sigma_sys : (n,) ndarray
     glints, frames, outliers, turns : (n,) ndarray of int
@@ -41,6 +41,7 @@ class Outcomes:
     error: Array
     sigma_ad: Array
     sigma_mean: Array
+    sigma_mean_frames: Array
     p_normal: Array
     sigma_sys: Array
     glints: NDArray[np.intp]
@@ -104,6 +105,7 @@ def survey(
                         axis_error(p, h.mount, h.axis),
                         p.sigma_ad,
                         p.sigma_mean,
+                        p.sigma_mean_frames,
                         p.p_normal,
                         sigma_sys(away, sizes),
                         len(sightings.frame),

@@ -127,6 +127,18 @@ def test_each_source_broadens_or_shifts(errors, broadens, shifts, half):
     assert ((o.error**2).mean() > 4 * (o.sigma_mean**2).mean()) == shifts
 
 
+def test_glints_that_share_a_frame_are_no_more_than_one_draw():
+    """Every glint read twice: σ_mean falls by √2 (1 − 1/n aside), σ_mean by frames stays."""
+    flight, h, once = flown(Errors.none(slope=0.7e-3), 24)
+    twice = Sightings(np.repeat(once.frame, 2), np.repeat(once.points, 2, axis=0))
+    a, b = (
+        estimate(s, flight.said_cameras, flight.said_lamps, h.said, design_map(DESIGN), most_outliers=0.0)
+        for s in (once, twice)
+    )
+    np.testing.assert_allclose(b.sigma_mean_frames, a.sigma_mean_frames, rtol=1e-6)
+    np.testing.assert_allclose(b.sigma_mean, a.sigma_mean / math.sqrt(2), rtol=0.01)
+
+
 def test_sigma_total_is_a_quadrature():
     flight, h, sightings = flown(Errors(), 23)
     p = estimate(sightings, flight.said_cameras, flight.said_lamps, h.said, h.measured)
