@@ -112,6 +112,10 @@ def compare(fit: Fit, sigma: float, seed: int, rays: int, out: Path) -> None:
             f"{100 * (row.peak_mc / row.peak - 1):+9.2f}  {100 * a:+10.3f} ± {100 * sa:.3f} "
             f"{100 * (row.average_mc / row.average - 1):+8.2f}"
         )
+    print(
+        f"  without slope errors: peak {100 * np.abs(made[0, :, 0]).max():.2f} % at most (± "
+        f"{100 * made[0, :, 1].max():.2f}), average {100 * np.abs(made[0, :, 2]).max():.3f} %"
+    )
     k = [r.x for r in TABLE].index(14.2)
     own = TABLE[k].peak * (1 + final[k, 0])
     print(

@@ -15,6 +15,7 @@ import argparse
 import json
 from pathlib import Path
 
+import cv2
 import matplotlib
 
 matplotlib.use("Agg")
@@ -22,8 +23,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.instruments.mount.beam_light import beam_on
 from benchsim.instruments.mount.paint import METHODS
-from benchsim.instruments.mount.photograph import TargetPhotograph, measure_beam, on_target
+from benchsim.instruments.mount.photograph import TargetPhotograph, measure_beam, on_target, rectified
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "recordings" / "heliostat-juelich"
 COLOURS = {"UTIS": "tab:blue", "HeliOS": "tab:green"}
@@ -36,6 +38,28 @@ def spots(found: TargetPhotograph) -> dict[str, np.ndarray]:
     return {m: on_target(found, np.array(published[m])) for m in METHODS if published.get(m)}
 
 
+def colours(found: TargetPhotograph) -> str:
+    """Which curve the beam's own colour asks for.
+
+    The beam adds light of one colour to a background of another: red and blue less background are proportional to
+    green less background, if counts are turned into light by the right curve. Misfit of that, relative to the most
+    light, for counts to the power γ.
+    """
+    counts = cv2.imread(str(found.path)).astype(np.float32) / 255
+    maps = [rectified(found, counts[..., k]) for k in range(3)]
+    bare = rectified(found, (~found.marks.ink).astype(np.float32)) > 0.99
+    inside = cv2.erode(found.beam.inside.astype(np.uint8), np.ones((3, 3))) > 0
+    inside &= np.max(maps, axis=0) < 0.95
+    told = []
+    for gamma in (1.0, 1.4, 1.8, 2.2, 2.6, 3.2):
+        net = [beam_on(m**gamma, bare).net[inside] for m in maps]
+        bins = np.digitize(net[1], np.quantile(net[1], np.linspace(0, 1, 16))[1:-1])
+        b, g, r = (np.array([n[bins == k].mean() for k in range(15)]) for n in net)
+        off = [np.std(y - g * (y @ g) / (g @ g)) / y.max() for y in (r, b)]
+        told.append(f"{gamma:g}: {off[0]:.1%} and {off[1]:.1%}")
+    return "  misfit of one colour (red, blue) for counts to the power  " + ", ".join(told)
+
+
 def ellipse(found: TargetPhotograph) -> np.ndarray:
     """The 95 % ellipse, (2, n) mm."""
     turn = np.linspace(0, 2 * np.pi, 90)
@@ -46,12 +70,14 @@ def ellipse(found: TargetPhotograph) -> np.ndarray:
 def picture(found: TargetPhotograph, path: Path) -> None:
     """The rectified target as seen from the heliostats: east on the left."""
     e0, e1, u0, u1 = np.array(found.extent) / 1e3
-    fig, axes = plt.subplots(1, 2, figsize=(13, 6.2), layout="constrained")
+    fig, axes = plt.subplots(1, 3, figsize=(17, 6.2), layout="constrained", width_ratios=[1, 1, 0.8])
     for ax, image, title in (
         (axes[0], found.light, "light"),
         (axes[1], found.beam.net, "light less background"),
+        (axes[2], found.beam.net, "about the centroid"),
     ):
-        scale = found.beam.peak * 0.25 if ax is axes[1] else np.quantile(image, 0.995)
+        scale = found.beam.peak * (0.25 if ax is axes[1] else 1)
+        scale = np.quantile(image, 0.995) if ax is axes[0] else scale
         low = -scale * 0.2 if ax is axes[1] else 0
         shown = ax.imshow(image, origin="lower", extent=(e0, e1, u0, u1), cmap="gray", vmin=low, vmax=scale)
         fig.colorbar(shown, ax=ax, shrink=0.7)
@@ -75,6 +101,8 @@ def picture(found: TargetPhotograph, path: Path) -> None:
         ylim=(marks.plane[:, 1].min() / 1e3 - margin, marks.plane[:, 1].max() / 1e3 + margin),
     )
     axes[1].set(xlim=(e1, e0), ylim=(u0, u1))
+    east, up = found.centroid / 1e3
+    axes[2].set(xlim=(east + 0.25, east - 0.25), ylim=(up - 0.25, up + 0.25))
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, fontsize=8)
     fig.suptitle(f"{found.path.name}, {found.target}")
     fig.savefig(path, dpi=110)
@@ -103,6 +131,7 @@ def table(found: TargetPhotograph) -> list[str]:
         lines.append(
             f"  less {name:6}  east {off[0]:+.0f} mm, up {off[1]:+.0f} mm: {np.linalg.norm(off):.0f} mm, {pull:.1f} σ"
         )
+    lines.append(colours(found))
     return lines + [f"  {s}" for s in found.says]
 
 
