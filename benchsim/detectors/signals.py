@@ -8,8 +8,9 @@ sampling rate; the converter's filter and decimation, background, flicker, shot 
 
     y_i(t) = (B_i (1 + l_i(t)) + Σ_k m_ki(t)) (1 + g(t)) + white noise
 
-Left out: the sun's motion during a record (1.5 mrad in 20 s, followed by the heliostat; the trace is that of the
-record's middle), the sun's aureole, tilts of single facets, quantisation, saturation.
+Left out: the sun's motion, which the heliostat follows (an aligned trace moves by 0.1 mrad across itself in 20 s at
+most, evenly to both sides of the record's middle, whose geometry is meant), the sun's aureole, tilts of single
+facets, quantisation, saturation.
 """
 
 from __future__ import annotations

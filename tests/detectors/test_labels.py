@@ -50,8 +50,8 @@ def test_labels_closer_than_the_records_length_are_not_resolved_and_harm_nobody(
 
 
 def test_the_noise_is_found_between_the_labels(plant, assumptions, truth, steady, light):
-    """Flicker's densities at 150 Hz: its own part, known to 0.6 % from 250 bins of 162 detectors, within 10 %; the common
-    part, known to 6 %, within 30 %.
+    """Flicker's densities at 150 Hz: its own part, known to 0.6 % from 250 bins of 162 detectors, within 10 %; the
+    common part, known to 6 %, within 30 %.
     """
     samples = detectors.record(plant, assumptions, truth, steady, np.random.default_rng(3), light)
     lines = detectors.separate(samples, plant)
