@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,10 @@ class MountDiagnosis:
                 f"The encoders' zeros are fitted in every hypothesis: IA = {ia:.2f} ± {sizes[0]:.2f}, IE = {ie:.2f} ± "
                 f"{sizes[1]:.2f} arcsec (true less read)."
             )
-        out.append(f"Errors of a single record, as the records show them: {b.sigma:.3g} {unit} across and up.")
+        across, up = (self.diagnosis.residuals.sigma[b.problem.kind == k].mean() for k in ("across", "up"))
+        out.append(
+            f"Errors of a single record, as the records show them: {across:.3g} {unit} across, {up:.3g} {unit} up."
+        )
         step = next((f for f in self.diagnosis.effects if f.name == "change-point"), None)
         if step is not None:
             number = int(np.ceil(step.parameters["change"].value))
@@ -182,12 +186,15 @@ def diagnose(
 
 
 @threadpool_limits.wrap(limits=1)
-def diagnose_session(session: Session, folder: Path = Path(), *, progress: Progress = silent) -> MountDiagnosis:
-    """Diagnose recordings that were read; writes nothing."""
+def diagnose_session(
+    session: Session, folder: Path = Path(), *, without: Sequence[str] = (), progress: Progress = silent
+) -> MountDiagnosis:
+    """Diagnose recordings that were read, by the catalogue without some effects; writes nothing."""
     if not np.isfinite(session.records.source).all():
         raise BenchsimError(f"{session.path}: a direction is not finite; mend the records")
     progress("looking for outlying records", 0.05)
-    built = mount_problem.build(session)
+    known = [e for e in effects.candidates(session.mount, session.records) if e.name not in without]
+    built = mount_problem.build(session, catalogue=known)
     found = diagnosis.diagnose(built.problem, lambda what, done: progress(what, 0.1 + 0.7 * done))
     for _ in range(ROUNDS):
         if found.verdict == "nothing-missing":

@@ -58,13 +58,13 @@ def _forms(predict: Predict) -> list[_Form]:
         return [*forms, _Form("sky.elevation", "sky", "elevation of the light", ("sun_up",), angle, height, wide)]
     sun = records.source
     forms.append(_Form("sky.direction", "sky", "place of the sun", ("sun_across", "sun_up"), angle, sun, wide))
-    # Targets are metres apart, so that one function serves all of them.
-    spots = records.spot - records.spot.mean(axis=0)
+    # Of the target alone: a spot's own place on it is what is measured, so that every error would look like a function
+    # of that place.
+    of = np.array(records.target)
+    spots = np.stack([records.spot[of == t].mean(axis=0) for t in of])
     lengths = (1000.0, 3000.0, 10000.0)
-    return [
-        *forms,
-        _Form("target.place", "target", "place on the target", ("spot_across", "spot_up"), "mm", spots, lengths),
-    ]
+    inputs = ("spot_across", "spot_up")
+    return [*forms, _Form("target.which", "target", "which target it is", inputs, "mm", spots, lengths)]
 
 
 def _attach(problem: Problem, form: _Form) -> Attachment:

@@ -91,7 +91,11 @@ def _az_el(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
 
 def _east_west(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
     first, second = (
-        actuator_angle(a, reading[:, k], *(_of(x, f"{n}_{k + 1}") for n in ("length", "offset", "radius")))
+        actuator_angle(
+            a,
+            reading[:, k] + a.increment * _of(x, f"grown_{k + 1}"),
+            *(_of(x, f"{n}_{k + 1}") for n in ("length", "offset", "radius")),
+        )
         for k, a in enumerate(mount.actuators)
     )
     first, second = first + mount.zero[0] + _of(x, "IE"), second + mount.zero[1] + _of(x, "IA")

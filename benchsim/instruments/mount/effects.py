@@ -165,6 +165,16 @@ CATALOGUE: tuple[Entry, ...] = (
         "From one record on the mount's zero points are others: something slipped or was set anew.",
         "Ask the log what happened before that record; judge the records before and after it apart.",
         "a step in both encoder offsets",
+        axes="az-el",
+    ),
+    Entry(
+        "change-point",
+        "time",
+        (Term("step_1", "mm", 0.0, 30.0), Term("step_2", "mm", 0.0, 30.0)),
+        "From one record on the actuators are longer than their steps say: one lost steps or was homed anew.",
+        "Ask the log what happened before that record; judge the records before and after it apart.",
+        "a step in the length of both actuators",
+        axes="east-west",
     ),
 )
 """Effects in the order of the light: mount, target, sky, time."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from benchsim.instruments.mount.records import Array
 
@@ -77,22 +77,23 @@ def outlying(
         return replace(found, log_likelihood=found.log_likelihood - 0.5 * (len(own) - len(always)) * np.log(2 * n))
 
     numbers = range(len(sets))
-    start = [c for c in [(), *((k,) for k in numbers), *combinations(numbers, 2)] if _few(always, sets, c, n)]
+    start = [c for c in [(), *((k,) for k in numbers), *combinations(numbers, 2)] if _few(sets, c, n)]
     chosen = max(start, key=lambda c: fitted(c).log_likelihood)
     best = fitted(chosen)
     while True:
-        more = [(*chosen, k) for k in numbers if k not in chosen and _few(always, sets, (*chosen, k), n)]
+        more = [(*chosen, k) for k in numbers if k not in chosen and _few(sets, (*chosen, k), n)]
         top = max(more, key=lambda c: fitted(c).log_likelihood, default=None)
         if top is None or fitted(top).log_likelihood <= best.log_likelihood:
             break
         chosen, best = top, fitted(top)
     spread = max(best.sigma, sigma or 0.0)
-    return Outlying(_deviates((best.residual**2).sum(axis=1) / max(spread, 1e-12) ** 2), best.sigma)
+    squares = (best.residual**2).sum(axis=1) / max(spread, 1e-12) ** 2
+    return Outlying(_deviates(squares, max(2 * n - best.used, 2.0)), best.sigma)
 
 
-def _few(always: Sequence[int], sets: Sequence[Sequence[int]], chosen: Sequence[int], n: int) -> bool:
-    """Whether a set leaves at least half of the numbers free."""
-    return len(always) + sum(len(sets[k]) for k in chosen) <= n
+def _few(sets: Sequence[Sequence[int]], chosen: Sequence[int], n: int) -> bool:
+    """Whether a set fits at most one number for every two records."""
+    return 2 * sum(len(sets[k]) for k in chosen) <= n
 
 
 def _robust(data: Array, columns: Array) -> _Robust:
@@ -128,17 +129,18 @@ def _normal_sigma(squares: Array, used: float) -> float:
     return float(np.sqrt(np.median(squares) / chi2.ppf(0.5, 2) / left))
 
 
-def _deviates(squares: Array) -> tuple[int, ...]:
-    """Generalised extreme Studentized deviates of squared distances that are χ² with 2 degrees of freedom, (n,)."""
+def _deviates(squares: Array, freedom: float) -> tuple[int, ...]:
+    """Generalised extreme Studentized deviates of squared distances, (n,).
+
+    Those of clean records are twice F with 2 and ``freedom`` degrees of freedom, which sigma was estimated from.
+    """
     n = len(squares)
     most = int(n * MOST)
     order = np.argsort(-squares)
     gone = 0
     for k in range(1, most + 2):
-        if k > n:
-            break
         # The k-th largest of n, the k − 1 larger ones removed.
-        limit = chi2.isf(ALPHA / (n - k + 1), 2)
+        limit = 2 * f.isf(ALPHA / (n - k + 1), 2, max(freedom - 2 * (k - 1), 2.0))
         if squares[order[k - 1]] > max(limit, GROSS**2):
             gone = k
     return tuple(sorted(int(i) for i in order[:gone])) if gone <= most else ()

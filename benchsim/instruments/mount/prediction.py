@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from benchsim.diagnosis.problem import Values
 from benchsim.instruments.mount import axes, sky
@@ -15,6 +16,13 @@ from benchsim.instruments.mount.records import UNITS, Array, Mount, Records
 
 LOST = 1e6
 """Distance, in the mount's unit, of a prediction that does not exist: no triangle of an actuator closes."""
+
+
+ABRUPT = 0.12
+"""Part of a record over which a change is spread; half a record away 98 % of it are done."""
+
+STEPS = {"IA": "dIA", "IE": "dIE", "grown_1": "step_1", "grown_2": "step_2"}
+"""What a change of the mount adds to, and by how much: zero points, or lengths at the same step."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +80,12 @@ class Predict:
     def inside(self, x: dict[str, Array], i: NDArray[np.intp]) -> Array:
         """For errors in rad, mm and s, (T,) each, and record numbers (T,)."""
         mount, records = self.mount, self.records
-        if "change" in x and ("dIA" in x or "dIE" in x):
-            # The record on which the change falls has a part of it, so that a fit can slide over it.
-            after = np.clip(i - x["change"] + 0.5, 0.0, 1.0)
-            for name in ("IA", "IE"):
-                x[name] = x.get(name, 0.0) + after * x.get(f"d{name}", 0.0)
+        if "change" in x:
+            # A little of a slope, so that a fit feels on which side of a record the change falls.
+            after = expit((i - x["change"]) / ABRUPT)
+            for name, step in STEPS.items():
+                if step in x:
+                    x[name] = x.get(name, 0.0) + after * x[step]
         normal, centre = axes.pointing(mount, records.reading[i], x)
         source = sky.seen(mount, records.source[i], x)
         if mount.observes == "sky":

@@ -19,7 +19,7 @@ from benchsim.diagnosis.problem import Effect, Parameter, Problem
 from benchsim.instruments.mount import effects
 from benchsim.instruments.mount.attachments import attachments
 from benchsim.instruments.mount.further import Next
-from benchsim.instruments.mount.outlying import Outlying, outlying
+from benchsim.instruments.mount.outlying import MOST, Outlying, outlying
 from benchsim.instruments.mount.prediction import LOST, Predict
 from benchsim.instruments.mount.records import UNITS, Array, Mount, Records, Session, angles
 
@@ -116,7 +116,8 @@ def again(built: Built, values: dict[str, float], *, attached: bool = True) -> B
     """Judge the records anew about a fit that was found; None where the same ones are set aside."""
     session, catalogue = built.session, list(built.problem.catalogue)
     judged = look(built.problem, values, everything=built.sigma)
-    if not judged.aside:
+    whole = len(session.records.names) + len(built.aside)
+    if not judged.aside or len(judged.aside) + len(built.aside) > MOST * whole:
         return None
     more = _finish(session, catalogue, judged, attached)
     return replace(more, aside=(*built.aside, *more.aside), remarks=(*built.remarks, *more.remarks))
