@@ -143,7 +143,7 @@ def draw_spectra(a: Assumptions, seed: int) -> Figure:
         axes.set(xlabel=f"{'y' if kind == 0 else 'z'} along the {'horizontal' if kind == 0 else 'vertical'} array [m]")
         axes.set_ylabel("amplitude [mW/m²]")
         axes.set_title(
-            f"({NAMES[k]}), {KINDS[kind]} prism, {plant.rates[k, kind]:.2f} Hz: in-phase part and fit; the floor is common flicker",
+            f"({NAMES[k]}), {KINDS[kind]} prism, {plant.rates[k, kind]:.2f} Hz: in phase, fit; floor: common flicker",
             fontsize=10,
             loc="left",
         )
