@@ -141,11 +141,11 @@ def passage(plant: Plant, heliostat: int, kind: int, misalignment: Array) -> Pas
         return 2 * nd * sn - sd, nd, -dx, length
 
     turn = 2 * np.pi / plant.facets
-    coarse = turn * (np.arange(_COARSE) / _COARSE - 0.5)
+    coarse = turn * (np.arange(-1, _COARSE + 1) / _COARSE - 0.5)  # one turn of a facet, and a neighbour at either end
     near, _, _, length = seen_from(plant.detectors, coarse, 0.0, 0.0)
-    best = np.argmax(near, axis=1)
+    best = 1 + np.argmax(near[:, 1:-1], axis=1)
     rows = np.arange(len(best))
-    before, at, after = (near[rows, (best + k) % _COARSE] for k in (-1, 0, 1))
+    before, at, after = (near[rows, best + k] for k in (-1, 0, 1))
     shift = 0.5 * (before - after) / np.minimum(before - 2 * at + after, -1e-30)
     peak = at + 0.25 * (after - before) * shift  # of the parabola: the cosine of the nearest approach
     reach = plant.beam.edge + 1.2 * height / length[:, 0]
