@@ -137,7 +137,8 @@ def find_glints(image: Array, corners: Array) -> Array:
     """(n, 2) centroids of the lamp's reflections inside the quadrangle of ``corners`` (4, 2) [px].
 
     A glint at the mirror's very edge is cut by it, and its centroid lies up to a pixel inside. Two that are nearer than
-    some three pixels become one.
+    some three pixels become one. One fainter than `GLINT` is lost: where the mirror bulges so much that the lamp's
+    image is less than about a quarter of a flat mirror's.
     """
     inside = np.zeros(image.shape, np.uint8)
     cv2.fillConvexPoly(inside, np.round(corners).astype(np.int32), 1)
