@@ -28,6 +28,7 @@ from fig4 import LOCATIONS, location
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats
+from threadpoolctl import threadpool_limits
 
 from benchsim import detectors
 from benchsim.detectors import Assumptions, Plant, Step, Truth
@@ -269,4 +270,5 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with threadpool_limits(1):  # the matrices are small: threads would only wait for each other
+        main()

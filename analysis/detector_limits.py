@@ -24,6 +24,7 @@ from fig4 import STYLES
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from threadpoolctl import threadpool_limits
 
 from benchsim import detectors
 from benchsim.detectors import KINDS, Assumptions, Plant
@@ -271,4 +272,5 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with threadpool_limits(1):  # the matrices are small: threads would only wait for each other
+        main()
