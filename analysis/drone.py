@@ -282,7 +282,6 @@ def budget_lines(name: str, o: Outcomes) -> list[str]:
 def budget(flights: int, seed: int) -> None:
     """The paper's budget, then what bends it."""
     base = Errors()
-    print(f"\nbudget (float64 predictor, seeds {seed}–{seed + 7})")
     cases: list[tuple[str, Errors, float]] = [
         ("as the paper states its errors", base, PITCH),
         ("glints read as well as in our rendered pictures (5 mm)", replace(base, detection=5.0), PITCH),
@@ -292,6 +291,7 @@ def budget(flights: int, seed: int) -> None:
         ("the same, slope errors 500 mm long", replace(base, position=0, offset=0, tilt=0, slope_scale=500.0), PITCH),
         ("the same, 250 mm, pattern twice as fine", replace(base, position=0, offset=0, tilt=0), PITCH / 2),
     ]
+    print(f"\nbudget (float64 predictor, seeds {seed}–{seed + len(cases) - 1})")
     for k, (title, errors, pitch) in enumerate(cases):
         n = flights if k < 4 else max(2, flights // 2)
         both = survey(errors, seed + k, n, pitch=pitch)
