@@ -71,7 +71,7 @@ def scene(rng: np.random.Generator) -> Scene:
     sigma = float(np.exp(rng.uniform(np.log(0.3), np.log(2.0))))
     catalogue = effects.candidates(session.mount, session.records)
     predict = mount_problem.predicted(session, catalogue)
-    drift = mount_problem.DRIFT * sigma * mount_problem.drift(len(session.records.names))
+    drift = mount_problem.DRIFT * sigma * mount_problem.drift(session.mount, len(session.records.names))
     return Scene(session, sigma, mount_problem.problem_of(replace(predict, drift=drift), catalogue, sigma))
 
 
@@ -220,7 +220,7 @@ def _case(row: str, seed: int, case: int) -> dict[str, Any]:
     else:
         inside |= {f"survey_{k}": np.full(n, rng.normal(0, mount_problem.SURVEY_SIGMA)) for k in "enu"}
     noise = on.sigma * unit * rng.standard_normal((n, 2))
-    modes = mount_problem.drift(n)
+    modes = mount_problem.drift(mount, n)
     noise += on.sigma * unit * rng.uniform(0, 0.6) * modes @ rng.standard_normal((modes.shape[1], 2))
     strange = ""
     bent = None

@@ -143,6 +143,11 @@ def kernel_root(attachment: Attachment, length: float, tolerance: float = 1e-7) 
     return root
 
 
+def smooth_functions(problem: Problem) -> list[Array]:
+    """What every attachment's smoothest modes do to the data at its largest plausible rms, (n, 8) each or fewer."""
+    return [a.basis @ kernel_root(a, float(np.median(a.lengths)))[:, -8:] * a.sigma for a in problem.attachments]
+
+
 def amplitudes(problem: Problem, names: tuple[str, ...]) -> tuple[Parameter, ...]:
     """The catalogue's parameters of these names."""
     known = {p.name: p for e in problem.catalogue for p in e.parameters}

@@ -104,8 +104,8 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         best.fit.log_evidence,
         free,
         more,
-        _left(problem, naming.null, modes),
-        _left(problem, best.fit, modes),
+        _left(problem, naming, naming.null, modes),
+        _left(problem, naming, best.fit, modes),
         best.claim is None or not more or _with(problem, naming, more[0], modes)[1].acceptable,
     )
     if findings.stands and more and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING:
@@ -229,8 +229,9 @@ def _weigh(
     return tuple(laid)
 
 
-def _left(problem: Problem, fit: Fit, modes: remainder.Modes) -> remainder.Remainder:
-    return remainder.remainder(attachments.absorb(problem, fit.linear), modes, fit.setting_scale)
+def _left(problem: Problem, naming: Naming, fit: Fit, modes: remainder.Modes) -> remainder.Remainder:
+    free = naming.noise.freedom
+    return remainder.remainder(attachments.absorb(problem, fit.linear), modes, fit.setting_scale, free)
 
 
 def _with(
@@ -239,7 +240,7 @@ def _with(
     """The problem with a function on it, and what the smooth modes leave then."""
     white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
     with_it = attachments.with_columns(attachments.absorb(problem, laid.linear), white @ laid.root)
-    return with_it, remainder.remainder(with_it, modes, laid.scale)
+    return with_it, remainder.remainder(with_it, modes, laid.scale, naming.noise.freedom)
 
 
 def _place(
@@ -267,7 +268,7 @@ def _place(
             if len(of) != 1:
                 continue
             only = of.pop()
-            nothing = effects in fits and _left(problem, fits[effects], modes).acceptable
+            nothing = effects in fits and _left(problem, naming, fits[effects], modes).acceptable
             explanations.append(Explanation(only, coordinate.get(only, ""), value, 0.0 if nothing else np.inf))
     if findings.stands and not rest and len({e.element for e in problem.catalogue if e.name in on.effects}) > 1:
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +31,14 @@ class Noise:
         ``Problem.position``; 0: none found.
     covariance : tuple of (n_b, n_b)
         Of the blocks, with both put in.
+    freedom : mapping of str to float
+        By kind: numbers that the scale was estimated from; a kind that is not here is known.
     """
 
     scale: Mapping[str, float]
     correlation: Mapping[str, float]
     covariance: tuple[Array, ...]
+    freedom: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

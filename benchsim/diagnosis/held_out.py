@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from benchsim.diagnosis import noise as noises
 from benchsim.diagnosis import screen
-from benchsim.diagnosis.attachments import Attached, Prepared, weigh, whitened
+from benchsim.diagnosis.attachments import Attached, Prepared, smooth_functions, weigh, whitened
 from benchsim.diagnosis.classes import estimate, space
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects, Naming
@@ -98,10 +98,11 @@ def folds(problem: Problem, naming: Naming, linear: Linear) -> tuple[Fold, ...]:
     p = null.nuisance.shape[1]
     known = {q.name: q for e in problem.catalogue for q in e.parameters}
     sigma = np.concatenate([np.ones(p), [known[n].sigma ** known[n].power for n in null.names]])
+    functions = smooth_functions(problem)
     out = []
     for f in range(int(of.max()) + 1):
         test = of == f
-        fold_noise = noises.estimate(problem, raw[:, 0], raw[:, 1:] * sigma, ~test)
+        fold_noise = noises.estimate(problem, raw[:, 0], np.column_stack([raw[:, 1:] * sigma, *functions]), ~test)
         at_null = _rewhiten(problem, null, raw, fold_noise.covariance, p)
         fold_naming = replace(naming, noise=fold_noise, linear=at_null)
         out.append(Fold(test, fold_naming, _rewhiten(problem, linear, again, fold_noise.covariance, p)))

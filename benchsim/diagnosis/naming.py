@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from benchsim.diagnosis import curvature, evidence, linear, noise, refit, screen, settings, starts
+from benchsim.diagnosis.attachments import smooth_functions
 from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects, Fit, Naming, Noise
@@ -155,7 +156,7 @@ def _null(problem: Problem, bends: Curvature) -> tuple[Solved, Noise]:
 
 
 def _removed(problem: Problem, catalogue: Catalogue, nuisance: Array) -> Array:
-    """What noise is not to be estimated from: what settings (at their largest scale) and effects could do."""
+    """What noise is not to be estimated from: what settings at their largest scale, effects and functions could do."""
     scaled = np.array([n.scaled for n in problem.nuisances], bool)
     largest = float(settings.grid()[0][-1])
     size = np.ones(catalogue.columns.shape[1])
@@ -163,7 +164,9 @@ def _removed(problem: Problem, catalogue: Catalogue, nuisance: Array) -> Array:
         sigma = [p.sigma**p.power for p in evidence.amplitudes(effect)]
         for node in catalogue.nodes[effect.name]:
             size[list(node.columns)] = sigma
-    return np.column_stack([nuisance * np.where(scaled, largest, 1.0), catalogue.columns * size])
+    return np.column_stack(
+        [nuisance * np.where(scaled, largest, 1.0), catalogue.columns * size, *smooth_functions(problem)]
+    )
 
 
 def _moved(before: Noise, after: Noise) -> bool:

@@ -214,6 +214,7 @@ def estimate(problem: Problem, residual: Array, remove: Array, use: NDArray[np.b
     sigma = np.sqrt(np.maximum(np.concatenate(white), 1e-4 * stated))
     scale: dict[str, float] = {}
     correlation: dict[str, float] = {}
+    freedom: dict[str, float] = {}
     out = [c.copy() for c in problem.covariance]
     for name in np.unique(problem.kind):
         chosen = problem.kind == name
@@ -235,6 +236,7 @@ def estimate(problem: Problem, residual: Array, remove: Array, use: NDArray[np.b
             continue
         kind = _gather(problem, used, residual, remove, sigma, lengths)
         log_s, shared, probability = _weigh(kind, lengths)
+        freedom[str(name)] = float(len(kind.data[0]) - kind.remove[0].shape[1])
         scale[str(name)] = float(np.exp(log_s))
         found = len(lengths) > 0 and probability[0] < 0.5
         correlation[str(name)] = float(probability[1:] @ lengths / probability[1:].sum()) if found else 0.0
@@ -249,4 +251,4 @@ def estimate(problem: Problem, residual: Array, remove: Array, use: NDArray[np.b
                 apart = np.abs(problem.position[i][:, None] - problem.position[i])
                 extra = sum(v * np.exp(-apart / length) for v, length in zip(shared, lengths, strict=True))
                 out[b][np.ix_(local, local)] += extra * sigma[i][:, None] * sigma[i]
-    return Noise(scale, correlation, tuple(out))
+    return Noise(scale, correlation, tuple(out), freedom)

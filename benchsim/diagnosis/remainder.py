@@ -11,13 +11,14 @@ Not to be used to judge the noise: a wrong noise model is seen in the data's χ�
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
-from benchsim.diagnosis.attachments import kernel_root
+from benchsim.diagnosis.attachments import smooth_functions
 from benchsim.diagnosis.linear import Linear, marginal, whiten
 from benchsim.diagnosis.problem import Problem
 
@@ -66,7 +67,7 @@ def modes(problem: Problem, linear: Linear, covariance: tuple[Array, ...]) -> Mo
         Of the blocks.
     """
     families = {}
-    functions = [a.basis @ kernel_root(a, float(np.median(a.lengths)))[:, -8:] * a.sigma for a in problem.attachments]
+    functions = smooth_functions(problem)
     n_blocks = len(problem.names)
     for kind in np.unique(problem.kind):
         here = problem.kind == kind
@@ -75,7 +76,7 @@ def modes(problem: Problem, linear: Linear, covariance: tuple[Array, ...]) -> Mo
         polynomials = np.zeros((len(problem.data), 4))
         polynomials[here] = np.polynomial.legendre.legvander(2 * (x - x.min()) / span - 1, 3)
         apart = polynomials[:, None, :] * (problem.block[:, None] == np.arange(n_blocks))[:, :, None]
-        parts = [*polynomials.T[:, :, None], apart.reshape(len(here), -1), *(f * here[:, None] for f in functions)]
+        parts = [*polynomials.T[:, :, None], apart.reshape(len(here), -1), *(g * here[:, None] for g in functions)]
         white = [whiten(problem, covariance, part)[0] for part in parts if part.any()]
         families[str(kind)] = np.column_stack([w for part in white for w in _levelled(linear, part)])
     shared: dict[str, list[int]] = {}
@@ -94,7 +95,7 @@ def _levelled(linear: Linear, part: Array) -> list[Array]:
     return [part / np.sqrt(visible)] if visible > _HIDDEN * float((part**2).sum()) else []
 
 
-def remainder(linear: Linear, families: Modes, scale: float) -> Remainder:
+def remainder(linear: Linear, families: Modes, scale: float, freedom: Mapping[str, float] | None = None) -> Remainder:
     """What is left under a hypothesis.
 
     Parameters
@@ -104,6 +105,9 @@ def remainder(linear: Linear, families: Modes, scale: float) -> Remainder:
     families : Modes
     scale : float
         Setting scale.
+    freedom : mapping of str to float, optional
+        By kind: numbers from which its noise was estimated (`fits.Noise`), so that χ² over its rank is F; default
+        known.
     """
     found = {}
     worst = 1.0
@@ -114,5 +118,7 @@ def remainder(linear: Linear, families: Modes, scale: float) -> Remainder:
         y = vectors[:, keep].T @ m.projection
         statistic, rank = float((y**2 / values[keep]).sum()), int(keep.sum())
         found[name] = (statistic, rank)
-        worst = min(worst, float(chi2.sf(statistic, rank)))
+        known = (freedom or {}).get(name, np.inf)
+        chance = chi2.sf(statistic, rank) if np.isinf(known) else f.sf(statistic / max(rank, 1), rank, known)
+        worst = min(worst, float(chance))
     return Remainder(min(1.0, worst * max(1, len(found))), found)

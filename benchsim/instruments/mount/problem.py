@@ -33,14 +33,18 @@ FEWEST = 3
 """Records below which nothing is fitted."""
 
 DRIFT = 0.3
-"""Drift of a mount's pointing through a session, rms, in errors of a single record. A prior: its scale is fitted in
+"""Drift of a telescope's pointing through a night, rms, in errors of a single record. A prior: its scale is fitted in
 every hypothesis (`diagnosis.settings`), so that some four times as much is taken for it too. Without it neighbours that
-err together pass for many witnesses, and terms that differ by less than the drift would be told apart."""
+err together pass for many witnesses, and terms that differ by less than the drift would be told apart. A heliostat's
+records lie days apart and have none."""
 
 DRIFT_LENGTH = 5.0
 """Records over which neighbours err alike."""
 
 DRIFT_MODES = 12
+
+WIDE = 100.0
+"""Drift that is fitted where outlying records are looked for, in the mount's unit: as much as there is."""
 
 FEWEST_TO_DRIFT = 32
 """Records below which a drift is not told from the errors of single records."""
@@ -133,9 +137,17 @@ def look(problem: Problem, at: dict[str, float] | None = None, *, everything: fl
     p = len(problem.nuisances)
     size = np.array([q.sigma for q in (*problem.nuisances, *many)])
     columns = columns * size
+    predict = problem.predict
+    assert isinstance(predict, Predict)
+    modes = drift(predict.mount, len(problem.names))
+    # Of any size: what neighbours share is no error of a single record.
+    slow = WIDE * np.kron(modes, np.eye(2))
+    last = columns.shape[1]
+    columns = np.column_stack([columns, slow])
     place = {q.name: p + k for k, q in enumerate(many)}
     sets = [[place[q.name] for q in own[e.name]] for e in problem.catalogue if e.name != "change-point"]
-    return outlying(residual.reshape(-1, 2), columns, list(range(p)), sets, everything)
+    always = [*range(p), *range(last, last + slow.shape[1])]
+    return outlying(residual.reshape(-1, 2), columns, always, sets, everything)
 
 
 def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attached: bool) -> Built:
@@ -146,7 +158,7 @@ def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attache
         catalogue = [e if e.name != "change-point" else _fewer(e, len(keep)) for e in catalogue]
     sigma = max(judged.sigma, FAINTEST[session.mount.unit])
     predict = predicted(kept, catalogue)
-    predict = replace(predict, drift=DRIFT * sigma * drift(len(keep)))
+    predict = replace(predict, drift=DRIFT * sigma * drift(session.mount, len(keep)))
     problem = problem_of(predict, catalogue, sigma)
     if attached:
         problem = replace(problem, attachments=attachments(problem, predict))
@@ -201,9 +213,9 @@ def _drift(predict: Predict) -> tuple[Parameter, ...]:
     return tuple(Parameter(n, "1", 1.0, scaled=True) for n in names)
 
 
-def drift(count: int) -> Array:
+def drift(mount: Mount, count: int) -> Array:
     """The leading modes of a Gaussian process of unit rms over the number of the record, (n, m)."""
-    if count < FEWEST_TO_DRIFT:
+    if mount.observes != "sky" or count < FEWEST_TO_DRIFT:
         return np.zeros((count, 0))
     k = np.arange(count, dtype=float)
     values, vectors = np.linalg.eigh(np.exp(-0.5 * ((k[:, None] - k) / DRIFT_LENGTH) ** 2))

@@ -1,4 +1,4 @@
-"""Mounts point where their parts say: TPOINT's terms to first order, the drift model exactly, and joints in their place."""
+"""Mounts point where their parts say: TPOINT to first order, the drift model exactly, and joints in their place."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def test_terms_are_those_of_tpoint(term):
 
 
 def test_az_el_is_the_drift_model_of_lara_cerecedo():
-    """Eqs (5)-(7) with (5)'s sign mended, in the paper's frame: x west, y south, z up, β from the zenith, γ from south."""
+    """Eqs (5)-(7), (5) with its sign mended; the paper has x west, y south, z up, β from the zenith, γ from south."""
     rng = np.random.default_rng(3)
     for _ in range(20):
         beta, gamma = rng.uniform(0.2, 1.3), rng.uniform(-2, 2)
