@@ -236,7 +236,7 @@ def walk(out: Path) -> None:
 
 
 def pictures(out: Path) -> None:
-    """The page's pictures: where everything stands, and what the phone sees."""
+    """The page's pictures: where everything stands, what the phone sees, what its calibration and the report show."""
     import cv2
     import matplotlib.pyplot as plt
 
@@ -248,6 +248,11 @@ def pictures(out: Path) -> None:
     names = ("bench/IMG_0001.jpg", "bench/IMG_0002.jpg", f"board/{min((out / 'photos/board').iterdir()).name}")
     shown = [cv2.resize(cv2.imread(str(out / "photos" / n)), (640, 480), interpolation=cv2.INTER_AREA) for n in names]
     cv2.imwrite(str(folder / "photographs.jpg"), cv2.hconcat(shown), [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+    for source, name in (("camera.png", "calibration.png"), ("mine-diagnose/residuals.png", "residuals.png")):
+        whole = cv2.imread(str(out / source))
+        size = (1000, round(1000 * whole.shape[0] / whole.shape[1]))
+        cv2.imwrite(str(folder / name), cv2.resize(whole, size, interpolation=cv2.INTER_AREA))
 
     bench = read(PHONE / "bench.toml", images=False)
     camera, e = bench.cameras["phone"], bench.exposures[0]
@@ -267,7 +272,8 @@ def pictures(out: Path) -> None:
         for what, point in (
             (f"mirror, C = {e.mirror_position} mm", mirror), ("phone", eye), ("to the laser", laser)
         ):  # fmt: skip
-            ax.annotate(what, point[[0, j]], (-10, -4), textcoords="offset points", fontsize=9, ha="right")
+            below = (-10, -16) if what.startswith("mirror") else (-10, -4)
+            ax.annotate(what, point[[0, j]], below, textcoords="offset points", fontsize=9, ha="right")
         ax.set(title=name, xlabel="x, toward the mirror (mm)", ylabel=f"{'xyz'[j]} (mm)", aspect="equal")
         ax.set(xlim=(-100, 1700), ylim=(-1600, 500) if j == 2 else (-1050, 1050))
         ax.grid(color="0.9")
