@@ -120,6 +120,10 @@ def table(cases: Iterable[Case]) -> str:
         lines.append(
             row(f"not in the catalogue, {title}: a wrong name", chosen, lambda c: bool(c["named"]), bar, at_least=False)
         )
+        apart = [c for c in chosen if near(c) >= 5]
+        lines.append(
+            row("    of these with no rival within 5 σ", apart, lambda c: bool(c["named"]), bar, at_least=False)
+        )
     claimed = [c for c in outside if c["location"] and c["location"]["claimed"]]
     lines.append(
         row("location, when claimed: right", claimed, lambda c: c["location"]["element"] == c["truth_element"], 0.90)

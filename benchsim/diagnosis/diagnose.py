@@ -309,7 +309,9 @@ def _open(
         rest = (*lone, *(e for j, g in enumerate(groups) if j != k for e in g[0]))
         alive = _alive(best, [(*m, *rest) for m in members])
         everyone += alive
-        ranked = following.rank(problem, best.linear, _scale(best), best.space, alive, further)
+        # All members are stated as open: what splits them is sought whichever of them it is.
+        even = [replace(a, probability=1 / len(alive)) for a in alive]
+        ranked = following.rank(problem, best.linear, _scale(best), best.space, even, further)
         probability = best.hypotheses.probability(members)
         made.append(Class(members, probability, ranked[0] if ranked else None))
     if unnamed:

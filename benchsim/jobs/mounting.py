@@ -14,12 +14,14 @@ from threadpoolctl import threadpool_limits
 from benchsim import diagnosis
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
+from benchsim.diagnosis import linear
+from benchsim.diagnosis.attachments import absorb
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amend
 from benchsim.instruments.mount import effects, stated
 from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.problem import Built
+from benchsim.instruments.mount.problem import ZERO_SIGMA, Built
 from benchsim.instruments.mount.records import UNITS, Session
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
@@ -32,6 +34,9 @@ from benchsim.report.vocabulary import mount as vocabulary
 
 ROUNDS = 2
 """Times at most that outlying records are looked for about a fit, and the rest diagnosed anew."""
+
+NARROW_DEG = 10.0
+"""Angle that the records span on the sky below which a remark is due."""
 
 DRIFT = "drift."
 
@@ -65,11 +70,17 @@ class MountDiagnosis:
         out = [*self.session.remarks, *b.remarks]
         if unit == "arcsec":
             zero = b.session.mount.zero / UNITS["arcsec"]
-            values, sizes = self.diagnosis.values, _posterior(b)
+            values, sizes = self.diagnosis.values, zero_sigma(b, self.diagnosis)
             ia, ie = (zero[k] + values.get(n, 0.0) for k, n in enumerate(("IA", "IE")))
             out.append(
                 f"The encoders' zeros are fitted in every hypothesis: IA = {ia:.2f} ± {sizes[0]:.2f}, IE = {ie:.2f} ± "
                 f"{sizes[1]:.2f} arcsec (true less read)."
+            )
+        sun = b.session.records.source
+        if np.degrees(np.arccos(np.clip((sun @ sun.T).min(), -1.0, 1.0))) < NARROW_DEG:
+            out.append(
+                "All records are at nearly one place of the sky: every constant error looks alike there, so that "
+                "hardly any two effects can be told apart; add records at other hours and seasons."
             )
         across, up = (self.diagnosis.residuals.sigma[b.problem.kind == k].mean() for k in ("across", "up"))
         out.append(
@@ -222,11 +233,21 @@ def amended(session: Session, d: Diagnosis) -> dict[str, dict[str, float]]:
     return {n: terms for n, terms in out.items() if terms}
 
 
-def _posterior(built: Built) -> tuple[float, float]:
-    """1 sigma of a telescope's encoder zeros where nothing else is fitted."""
-    n = len(built.problem.names)
-    cos2 = float((built.session.records.source[:, :2] ** 2).sum())
-    return built.sigma / np.sqrt(max(cos2, 1e-9)), built.sigma / np.sqrt(n)
+def zero_sigma(built: Built, d: Diagnosis) -> tuple[float, float]:
+    """1 sigma of a telescope's encoder zeros beside everything that was found, in arcsec."""
+    problem = built.problem
+    own = tuple(
+        p
+        for e in problem.catalogue
+        for p in e.parameters
+        if not p.grid and (e.name in {f.name for f in d.effects} or e.name in amend.chosen(d))
+    )
+    covariance = tuple(np.diag(d.residuals.sigma[problem.rows(b)] ** 2) for b in range(len(problem.names)))
+    lin = absorb(problem, linear.linearise(problem, d.values, own, covariance))
+    spread = linear.nuisance_posterior(lin, lin.residual, d.setting_scale)[1]
+    place = {p.name: k for k, p in enumerate(problem.nuisances)}
+    ia, ie = (float(np.sqrt(spread[place[n], place[n]])) * ZERO_SIGMA for n in ("IA", "IE"))
+    return ia, ie
 
 
 def _page(result: MountDiagnosis) -> dict[str, Any]:

@@ -179,7 +179,7 @@ CATALOGUE: tuple[Entry, ...] = (
 )
 """Effects in the order of the light: mount, target, sky, time."""
 
-FEWEST_FOR_CHANGE = 5
+FEWEST_FOR_CHANGE = 8
 """Records without which no change can be told from chance."""
 
 
@@ -196,8 +196,8 @@ def candidates(mount: Mount, records: Records) -> tuple[Effect, ...]:
             continue
         terms = [Parameter(t.name, unit(mount, t), _cap(mount, t) / 2) for t in entry.terms if _cap(mount, t) > 0]
         if entry.name == "change-point":
-            # Between two records each; never with one alone on a side, which is an outlying record.
-            grid = tuple(k + 0.5 for k in range(1, count - 2))
+            # Between two records each, with three or more on either side: fewer are outlying records.
+            grid = tuple(k + 0.5 for k in range(2, count - 3))
             terms.append(Parameter("change", "record", float(count), grid=grid))
         if entry.name == "target-position":
             terms = [replace(t, name=f"{t.name}_{k + 1}") for k in range(len(targets(records))) for t in terms]

@@ -14,28 +14,32 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.stats import f, norm
 
 from benchsim.instruments.mount.records import Array
 
 FREEDOM = 3.0
 """ν of Student's t."""
 
-ALPHA = 0.01
-"""Probability that a clean session loses a record."""
+ALPHA = 0.001
+"""Probability that a clean session loses a record. Small: a record that an effect could explain is worth more than a
+fit without it, and records that are wrong are mostly far out."""
 
 MOST = 1 / 6
 """Part of the records that may be set aside."""
 
-GROSS = 4.0
+GROSS = 5.0
 """A record within this many sigma is never set aside, however many records there are."""
+
+RUN = 3
+"""So many neighbours in time that would all go are a change of the mount, not wrong records."""
 
 _ROUNDS = 30
 
 
 @dataclass(frozen=True)
 class Outlying:
-    """Numbers of the records that lie apart, and the errors of the rest, per component."""
+    """Numbers of the records that lie apart, and the errors of the rest, rms of both components."""
 
     aside: tuple[int, ...]
     sigma: float
@@ -44,7 +48,7 @@ class Outlying:
 @dataclass(frozen=True)
 class _Robust:
     residual: Array
-    sigma: float
+    sigma: Array
     log_likelihood: float
     used: float
 
@@ -86,9 +90,10 @@ def outlying(
         if top is None or fitted(top).log_likelihood <= best.log_likelihood:
             break
         chosen, best = top, fitted(top)
-    spread = max(best.sigma, sigma or 0.0)
-    squares = (best.residual**2).sum(axis=1) / max(spread, 1e-12) ** 2
-    return Outlying(_deviates(squares, max(2 * n - best.used, 2.0)), best.sigma)
+    spread = np.maximum(best.sigma, sigma or 1e-12)
+    squares = (best.residual**2 / spread**2).sum(axis=1)
+    size = float(np.sqrt(np.mean(best.sigma**2)))
+    return Outlying(_deviates(squares, max(2 * n - best.used, 2.0)), size)
 
 
 def _few(sets: Sequence[Sequence[int]], chosen: Sequence[int], n: int) -> bool:
@@ -119,20 +124,15 @@ def _robust(data: Array, columns: Array) -> _Robust:
             break
     squares = (residual.reshape(-1, 2) ** 2).sum(axis=1)
     log_likelihood = float(-((FREEDOM + 2) / 2 * np.log1p(squares / FREEDOM / sigma**2)).sum() - 2 * n * np.log(sigma))
-    return _Robust(residual.reshape(-1, 2), _normal_sigma(squares, used), log_likelihood, used)
-
-
-def _normal_sigma(squares: Array, used: float) -> float:
-    """Sigma per component of the bulk, from the median of squared distances, (n,)."""
-    n = len(squares)
     left = max(2 * n - used, 1.0) / (2 * n)
-    return float(np.sqrt(np.median(squares) / chi2.ppf(0.5, 2) / left))
+    bulk = np.median(np.abs(residual.reshape(-1, 2)), axis=0) / norm.ppf(0.75) / np.sqrt(left)
+    return _Robust(residual.reshape(-1, 2), np.maximum(bulk, 1e-12), log_likelihood, used)
 
 
 def _deviates(squares: Array, freedom: float) -> tuple[int, ...]:
     """Generalised extreme Studentized deviates of squared distances, (n,).
 
-    Those of clean records are twice F with 2 and ``freedom`` degrees of freedom, which sigma was estimated from.
+    Those of clean records are twice F with 2 and ``freedom`` degrees of freedom, from which sigma was estimated.
     """
     n = len(squares)
     most = int(n * MOST)
@@ -143,4 +143,6 @@ def _deviates(squares: Array, freedom: float) -> tuple[int, ...]:
         limit = 2 * f.isf(ALPHA / (n - k + 1), 2, max(freedom - 2 * (k - 1), 2.0))
         if squares[order[k - 1]] > max(limit, GROSS**2):
             gone = k
-    return tuple(sorted(int(i) for i in order[:gone])) if gone <= most else ()
+    found = sorted(int(i) for i in order[:gone])
+    together = len(found) >= RUN and found[-1] - found[0] == len(found) - 1
+    return tuple(found) if gone <= most and not together else ()

@@ -167,7 +167,7 @@ def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attache
 
 
 def _fewer(effect: Effect, count: int) -> Effect:
-    grid = tuple(k + 0.5 for k in range(1, count - 2))
+    grid = tuple(k + 0.5 for k in range(2, count - 3))
     return replace(effect, parameters=tuple(replace(p, grid=grid) if p.grid else p for p in effect.parameters))
 
 
