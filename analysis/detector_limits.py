@@ -218,6 +218,12 @@ def blocked(a: Assumptions, seed: int) -> list[str]:
             found, _, _ = detectors.measure(detectors.record(plant, a, changed, steady, rng), plant)
             said = ", ".join(f"({NAMES[m.heliostat]}) {m.outcome}" for m in found)
             lines.append(f"{hour:6g}  {what:28s}    {said}")
+        few = replace(a, array_half_length=14e3)
+        short = plant_at(hour, 6, few)
+        there = replace(truth, transmission=shut, misalignment=0 * truth.misalignment)
+        samples = detectors.record(short, few, there, detectors.background(short, few, rng), rng)
+        said = ", ".join(f"({NAMES[m.heliostat]}) {m.outcome}" for m in detectors.measure(samples, short)[0])
+        lines.append(f"{hour:6g}  (a), (f) blocked, arrays ±14 m  {said}")
     return lines
 
 

@@ -23,8 +23,8 @@ density Σ at n detectors under the beam, each z = a F(u − du) known to √(Σ
 which is what ``misalignment`` reaches and ``bound`` computes from the samples themselves. Far heliostats light more
 detectors (n ~ D) with less light (A ~ 1/D²): σ grows as D^1.5.
 
-Where it cannot work is an outcome of its own (``misalignment.OUTCOMES``): labels closer than 1/T; no light, which is a
-blocked heliostat where every misalignment in range would give light and otherwise blocked or missed; light of one prism
+Where it cannot work is an outcome of its own (``misalignment.OUTCOMES``): labels closer than 1/T; no light, from a
+heliostat that would give some wherever it is in range, or from one that may just miss; light of one prism
 only; light at the arrays' ends only. What would be noticed by none of these: a beam profile or a tower geometry that is
 not as stated.
 """

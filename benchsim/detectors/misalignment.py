@@ -34,14 +34,14 @@ OUTCOMES = {
     "steered": "light of both, but of one only the rim: the angles say where to turn, their covariance is a guess",
     "one angle": "one trace crosses an array: the angle that moves it is known, the other is not",
     "unresolved": "a label is nearer than 1/T to another: measure longer, or turn one of the two prisms otherwise",
-    "blocked": "no light where any misalignment in the stated range would give some: blocked, shaded or at rest",
-    "dark": "no light: the traces miss the arrays or the heliostat is blocked; the arrays cannot tell which",
+    "absent": "no light, where any misalignment within 10 mrad would give some: blocked, at rest, or further off",
+    "dark": "no light: blocked, or off by less than 10 mrad so that the traces miss; the arrays cannot tell which",
     "contradictory": "light of both, but the lines contradict the vector model: geometry or light is not as stated",
 }
 """What can be said of a heliostat."""
 
 STATED_RANGE = 10e-3
-"""Misalignments that a heliostat may have before anything is measured [rad], for telling blocked from missed."""
+"""Misalignments that a heliostat may have before anything is measured [rad], for telling absent from missed."""
 
 ALARM = 1e-6
 """Chance at which a heliostat that the model describes is called contradictory."""
@@ -108,7 +108,7 @@ def measure(samples: Array, plant: Plant) -> tuple[list[Measurement], Lines, Noi
     powers = [power for _, factors in found for power in factors]
     # all prisms are alike: where some are seen, how bright the others would be is known
     typical = float(np.median(powers)) if powers else 0.0
-    return [_blocked(plant, lines, noise, one, typical) for one, _ in found], lines, noise
+    return [_absent(plant, lines, noise, one, typical) for one, _ in found], lines, noise
 
 
 def _one(plant: Plant, lines: Lines, noise: Noise, k: int) -> tuple[Measurement, list[float]]:
@@ -164,8 +164,8 @@ def _one(plant: Plant, lines: Lines, noise: Noise, k: int) -> tuple[Measurement,
         result.dof,
         says,
     )
-    good = outcome == "measured"
-    return done, [abs(a) for a in result.factors] if good else []
+    known = outcome != "contradictory" and all(states[kind] == "crosses" for kind in lit)
+    return done, [abs(a) for a in result.factors] if known else []
 
 
 def _state(crossings: Sequence[Crossing]) -> str:
@@ -224,7 +224,7 @@ def from_crossings(plant: Plant, crossings: Sequence[Crossing], start: Array) ->
     return theta, np.asarray(np.linalg.inv(matrix))
 
 
-def _blocked(plant: Plant, lines: Lines, noise: Noise, one: Measurement, power: float) -> Measurement:
+def _absent(plant: Plant, lines: Lines, noise: Noise, one: Measurement, power: float) -> Measurement:
     """A dark heliostat again, once it is known how bright prisms are."""
     if one.outcome != "dark" or power == 0:
         return one
@@ -233,7 +233,7 @@ def _blocked(plant: Plant, lines: Lines, noise: Noise, one: Measurement, power: 
         for kind in range(2)
     ]
     if all(certain):
-        return replace(one, outcome="blocked", says=OUTCOMES["blocked"])
+        return replace(one, outcome="absent", says=OUTCOMES["absent"])
     return one
 
 
