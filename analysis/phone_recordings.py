@@ -249,10 +249,11 @@ def pictures(out: Path) -> None:
     shown = [cv2.resize(cv2.imread(str(out / "photos" / n)), (640, 480), interpolation=cv2.INTER_AREA) for n in names]
     cv2.imwrite(str(folder / "photographs.jpg"), cv2.hconcat(shown), [cv2.IMWRITE_JPEG_QUALITY, 88])
 
-    for source, name in (("camera.png", "calibration.png"), ("mine-diagnose/residuals.png", "residuals.png")):
+    for source, name in (("camera.png", "calibration.jpg"), ("mine-diagnose/residuals.png", "residuals.jpg")):
         whole = cv2.imread(str(out / source))
         size = (1000, round(1000 * whole.shape[0] / whole.shape[1]))
-        cv2.imwrite(str(folder / name), cv2.resize(whole, size, interpolation=cv2.INTER_AREA))
+        small = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / name), small, [cv2.IMWRITE_JPEG_QUALITY, 90])
 
     bench = read(PHONE / "bench.toml", images=False)
     camera, e = bench.cameras["phone"], bench.exposures[0]
