@@ -1,4 +1,4 @@
-"""A small plant: the six heliostats of analysis/fig4.py at 8 h, records of 6 s."""
+"""A small plant: the six heliostats of analysis/fig4.py at 8 h, records of 5 s."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ PLACES = ((150, -16, -143), (80, 150, -143), (100, -100, -143), (800, -350, -143
 
 @pytest.fixture(scope="session")
 def assumptions():
-    return detectors.Assumptions(duration=6.0)
+    return detectors.Assumptions(duration=5.0)
 
 
 @pytest.fixture(scope="session")

@@ -76,7 +76,7 @@ def test_facets_that_differ_show_at_the_rate_of_turning(plant, assumptions, trut
 
 def test_noise_is_as_dense_as_stated(plant, assumptions, truth, steady):
     """Periodograms of a record without prisms, averaged over detectors and 130 to 190 Hz, against white noise and both
-    flickers: 6 s × 60 Hz of the common part scatter by 5 %, so that 20 % is four sigma.
+    flickers: 5 s × 60 Hz of the common part scatter by 6 %, so that 20 % is over three sigma.
     """
     dark = np.zeros((len(plant.detectors), plant.samples))
     samples = detectors.record(plant, assumptions, truth, steady, np.random.default_rng(5), dark)
