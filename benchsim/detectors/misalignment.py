@@ -31,11 +31,11 @@ Array = NDArray[np.float64]
 
 OUTCOMES = {
     "measured": "both traces cross an array: both angles, with their covariance",
-    "steered": "light of both, but of one only the rim: the angles say where to turn, their covariance is a guess",
+    "steered": "light of both, but a trace crosses no array or runs along one: both angles, one from its beam's rim",
     "one angle": "one trace crosses an array: the angle that moves it is known, the other is not",
     "unresolved": "a label is nearer than 1/T to another: measure longer, or turn one of the two prisms otherwise",
     "absent": "no light, where any misalignment within 10 mrad would give some: blocked, at rest, or further off",
-    "dark": "no light: blocked, or off by less than 10 mrad so that the traces miss; the arrays cannot tell which",
+    "dark": "no light: blocked, or off so that the traces miss, perhaps within 10 mrad; the arrays cannot tell which",
     "contradictory": "light of both, but the lines contradict the vector model: geometry or light is not as stated",
 }
 """What can be said of a heliostat."""
