@@ -70,3 +70,14 @@ def test_a_parameter_is_differentiated_on_its_own_blocks_only():
     column = linear.columns(watched, {}, (Parameter("s2.slope", "mm", 0.3, blocks=(2,)),))[:, 0]
     assert asked == [2, 2]
     assert set(problem.block[column != 0]) == {2}
+
+
+def test_tiny_blocks_are_whitened_together_as_they_are_apart():
+    rng = np.random.default_rng(8)
+    roots = [np.tril(rng.normal(size=(2, 2))) + 2 * np.eye(2) for _ in range(5)]
+    columns = rng.normal(size=(10, 3))
+    apart = np.concatenate([np.linalg.solve(low, columns[2 * k : 2 * k + 2]) for k, low in enumerate(roots)])
+    np.testing.assert_allclose(linear.lowered(roots, columns), apart, rtol=1e-12)
+    np.testing.assert_allclose(linear.lowered(roots, columns[:, 0]), apart[:, 0], rtol=1e-12)
+    for low, again in zip(roots, linear.factors([r @ r.T for r in roots]), strict=True):
+        np.testing.assert_allclose(np.abs(again), np.abs(low), rtol=1e-9)

@@ -45,3 +45,15 @@ def test_a_smooth_misfit_is_seen_as_the_study_promises():
                 for r in draws(problem, linear, 40, 2)
             )
             assert seen >= least, (name, snr, seen)
+
+
+def test_noise_that_was_estimated_from_little_excuses_more():
+    problem = toy()
+    linear = linearise(problem, {}, ())
+    families = remainder.modes(problem, linear, problem.covariance)
+    r = next(draws(problem, linear, 1, 3))
+    known = remainder.remainder(replace(linear, residual=1.8 * r), families, 1.0)
+    little = remainder.remainder(replace(linear, residual=1.8 * r), families, 1.0, dict.fromkeys(families.families, 12))
+    much = remainder.remainder(replace(linear, residual=1.8 * r), families, 1.0, dict.fromkeys(families.families, 1e9))
+    assert little.p > known.p
+    assert np.isclose(much.p, known.p, rtol=1e-4)

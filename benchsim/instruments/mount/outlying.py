@@ -54,7 +54,12 @@ class _Robust:
 
 
 def outlying(
-    residual: Array, columns: Array, always: Sequence[int], sets: Sequence[Sequence[int]], sigma: float | None = None
+    residual: Array,
+    columns: Array,
+    always: Sequence[int],
+    sets: Sequence[Sequence[int]],
+    sigma: float | None = None,
+    steps: Sequence[Sequence[int]] = (),
 ) -> Outlying:
     """Judge the records.
 
@@ -70,26 +75,34 @@ def outlying(
         Columns of every effect.
     sigma : float, optional
         Errors per component; default they are estimated.
+    steps : sequence of sequence of int
+        Columns of a change of the mount at each place where it may have been; at most one is there.
     """
     n = len(residual)
     data = residual.reshape(-1)
 
-    def fitted(chosen: Sequence[int]) -> _Robust:
-        own = [*always, *(c for k in chosen for c in sets[k])]
+    def fitted(chosen: Sequence[int], step: Sequence[int] = ()) -> _Robust:
+        own = [*always, *step, *(c for k in chosen for c in sets[k])]
         found = _robust(data, columns[:, own])
-        # Schwarz's price of every number that is fitted.
-        return replace(found, log_likelihood=found.log_likelihood - 0.5 * (len(own) - len(always)) * np.log(2 * n))
+        # Schwarz's price of every number that is fitted, the place of a change among them.
+        numbers = len(own) - len(always) + (2 if len(step) else 0)
+        return replace(found, log_likelihood=found.log_likelihood - 0.5 * numbers * np.log(2 * n))
 
     numbers = range(len(sets))
     start = [c for c in [(), *((k,) for k in numbers), *combinations(numbers, 2)] if _few(sets, c, n)]
     chosen = max(start, key=lambda c: fitted(c).log_likelihood)
     best = fitted(chosen)
+    at: Sequence[int] = max(steps, key=lambda s: fitted(chosen, s).log_likelihood, default=())
+    if len(at) and fitted(chosen, at).log_likelihood > best.log_likelihood:
+        best = fitted(chosen, at)
+    else:
+        at = ()
     while True:
         more = [(*chosen, k) for k in numbers if k not in chosen and _few(sets, (*chosen, k), n)]
-        top = max(more, key=lambda c: fitted(c).log_likelihood, default=None)
-        if top is None or fitted(top).log_likelihood <= best.log_likelihood:
+        top = max(more, key=lambda c: fitted(c, at).log_likelihood, default=None)
+        if top is None or fitted(top, at).log_likelihood <= best.log_likelihood:
             break
-        chosen, best = top, fitted(top)
+        chosen, best = top, fitted(top, at)
     spread = np.maximum(best.sigma, sigma or 1e-12)
     squares = (best.residual**2 / spread**2).sum(axis=1)
     size = float(np.sqrt(np.mean(best.sigma**2)))

@@ -43,6 +43,10 @@ DRIFT_LENGTH = 5.0
 
 DRIFT_MODES = 12
 
+SLOWEST = 6
+"""Modes of a drift that are fitted where outlying records are looked for: with all of them forty records would have so
+few numbers left that chance alone sets one aside in every fifth night."""
+
 WIDE = 100.0
 """Drift that is fitted where outlying records are looked for, in the mount's unit: as much as there is."""
 
@@ -132,14 +136,14 @@ def look(problem: Problem, at: dict[str, float] | None = None, *, everything: fl
     values = at or {}
     residual = problem.data - linear.predict_all(problem, values)
     own = {e.name: amplitudes(e) for e in problem.catalogue}
-    many = [p for e in problem.catalogue for p in own[e.name]]
+    many = [p for e in problem.catalogue if e.name != "change-point" for p in own[e.name]]
     columns = linear.columns(problem, values, (*problem.nuisances, *many))
     p = len(problem.nuisances)
     size = np.array([q.sigma for q in (*problem.nuisances, *many)])
     columns = columns * size
     predict = problem.predict
     assert isinstance(predict, Predict)
-    modes = drift(predict.mount, len(problem.names))
+    modes = drift(predict.mount, len(problem.names))[:, :SLOWEST]
     # Of any size: what neighbours share is no error of a single record.
     slow = WIDE * np.kron(modes, np.eye(2))
     last = columns.shape[1]
@@ -147,7 +151,24 @@ def look(problem: Problem, at: dict[str, float] | None = None, *, everything: fl
     place = {q.name: p + k for k, q in enumerate(many)}
     sets = [[place[q.name] for q in own[e.name]] for e in problem.catalogue if e.name != "change-point"]
     always = [*range(p), *range(last, last + slow.shape[1])]
-    return outlying(residual.reshape(-1, 2), columns, always, sets, everything)
+    stepped, steps = _steps(problem, values, columns.shape[1])
+    return outlying(residual.reshape(-1, 2), np.column_stack([columns, stepped]), always, sets, everything, steps)
+
+
+def _steps(problem: Problem, values: dict[str, float], first: int) -> tuple[Array, list[list[int]]]:
+    """Columns of a change of the mount at every place of its grid, and their numbers, which begin at ``first``."""
+    change = next((e for e in problem.catalogue if e.name == "change-point"), None)
+    n = len(problem.names)
+    if change is None:
+        return np.zeros((2 * n, 0)), []
+    own = amplitudes(change)
+    # As if it had been before all records; the records before each place do not have it.
+    whole = linear.columns(problem, {**values, "change": -5.0}, own) * np.array([q.sigma for q in own])
+    number = np.repeat(np.arange(n), 2)[:, None]
+    grid = next(p.grid for p in change.parameters if p.grid)
+    parts = [whole * (number > place) for place in grid]
+    numbers = [[first + k * len(own) + j for j in range(len(own))] for k in range(len(grid))]
+    return np.column_stack(parts) if parts else np.zeros((2 * n, 0)), numbers
 
 
 def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attached: bool) -> Built:
