@@ -31,6 +31,9 @@ MOST = 1 / 6
 GROSS = 5.0
 """A record within this many sigma is never set aside, however many records there are."""
 
+EFFICIENCY = 0.37
+"""Of a median of absolute deviations against a standard deviation, in numbers."""
+
 RUN = 3
 """So many neighbours in time that would all go are a change of the mount, not wrong records."""
 
@@ -106,7 +109,7 @@ def outlying(
     spread = np.maximum(best.sigma, sigma or 1e-12)
     squares = (best.residual**2 / spread**2).sum(axis=1)
     size = float(np.sqrt(np.mean(best.sigma**2)))
-    return Outlying(_deviates(squares, max(2 * n - best.used, 2.0)), size)
+    return Outlying(_deviates(squares, max(EFFICIENCY * (2 * n - best.used), 2.0)), size)
 
 
 def _few(sets: Sequence[Sequence[int]], chosen: Sequence[int], n: int) -> bool:
