@@ -31,7 +31,7 @@ from benchsim.diagnosis.linear import whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.instruments.mount import axes, effects, sky
 from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.further import OBLIQUITY, _sun, aimed
+from benchsim.instruments.mount.further import OBLIQUITY, aimed, sun_at
 from benchsim.instruments.mount.records import UNITS, Actuator, Mount, Records, Session, toward
 from benchsim.jobs.mounting import diagnose_session
 from benchsim.trial.draws import Sight, as_effects, draw_effect
@@ -105,7 +105,7 @@ def heliostat(rng: np.random.Generator, driven: bool) -> Session:
     reading, source, spot, target = [], [], [], []
     start = np.array([[25000.0, 48000.0], [35000.0, 60000.0]]) if driven else None
     while len(reading) < n:
-        sun = _sun(latitude, OBLIQUITY * rng.uniform(-1, 1), rng.uniform(-4.5, 4.5))
+        sun = sun_at(latitude, OBLIQUITY * rng.uniform(-1, 1), rng.uniform(-4.5, 4.5))
         if sun[2] < np.sin(np.radians(12)):
             continue
         k = int(rng.integers(count))

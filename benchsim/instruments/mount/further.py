@@ -61,7 +61,7 @@ def _candidates(predict: Predict) -> Iterator[tuple[str, Records]]:
     }
     for season, declination in SEASONS:
         for hour in HOURS:
-            sun = _sun(latitude, declination, hour)
+            sun = sun_at(latitude, declination, hour)
             azimuth, elevation = angles(sun)
             if elevation < LOWEST:
                 continue
@@ -83,7 +83,7 @@ def _sky(mount: Mount, reading: Array, where: Array) -> Records:
     return Records(tuple(f"next {k + 1}" for k in range(n)), reading, where, np.full((n, 3), np.nan), ("",) * n)
 
 
-def _sun(latitude: float, declination: float, hour: float) -> Array:
+def sun_at(latitude: float, declination: float, hour: float) -> Array:
     """Unit vector toward the sun at an hour angle of ``hour`` hours, (3,)."""
     h = hour * np.pi / 12
     east = -np.cos(declination) * np.sin(h)
