@@ -156,7 +156,8 @@ def _headline(d: Diagnosis, words: Vocabulary) -> str:
             text = f"NOTHING IS MISSING that these {words.recordings} could show. "
             text += "What would have been seen is listed below."
         case "named":
-            text = f"SOMETHING IS MISSING from the simulation, and it has a name: {names}."
+            count = "they have names" if len(d.effects) > 1 else "it has a name"
+            text = f"SOMETHING IS MISSING from the simulation, and {count}: {names}."
         case "class":
             text = f"SOMETHING IS MISSING from the simulation, and these {words.recordings} leave a choice of what "
             text += "it is"
@@ -265,17 +266,15 @@ def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     if held is None:
         return  # fewer than three settings, as the notes say
     before, after = held.excess_chi2_before, held.excess_chi2_after
-    start = f"Left out in turn ({held.folds} folds, {held.data} data) and predicted from the other settings, "
+    start = f"Left out in turn ({held.folds} folds, {held.data} data) and predicted from the other {words.setting}s, "
     if d.verdict == "nothing-missing":
         yield _wrapped(
             start + f"the recordings miss the prediction by an excess χ² of {before:.0f} ± {held.sigma:.0f} beyond "
             "noise and setting errors."
         )
         return
-    text = (
-        start
-        + f"the recordings' misfit beyond noise and setting errors (excess χ²) falls from {before:.0f} to {after:.0f} "
-    )
+    text = start + f"the {words.recordings}' misfit beyond noise and setting errors (excess χ²) falls from "
+    text += f"{before:.0f} to {after:.0f} "
     text += f"(± {held.sigma:.0f})"
     if held.fraction_removed is not None and before > 2 * held.sigma:
         text += f": {100 * held.fraction_removed:.1f} % of it is removed."

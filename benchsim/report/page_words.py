@@ -44,7 +44,7 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
         "where": _where(d),
         "law": _law(d),
         "rms": [(*words.kinds.get(k, (k, "")), v["before"], v["after"]) for k, v in d["fit"]["rms"].items()],
-        "left_out": _left_out(d),
+        "left_out": _left_out(d, words),
         "settings": _settings(d, words),
         "seen": [(k.split(".")[0], v) for k, v in limits if v["reachable"]],
         "blind": [(k.split(".")[0], v) for k, v in limits if not v["reachable"]],
@@ -103,12 +103,13 @@ def _law(d: Json) -> str:
     )
 
 
-def _left_out(d: Json) -> str:
+def _left_out(d: Json, words: Vocabulary) -> str:
     """What prediction of settings left out says; the same rule as in the summary for when it says nothing."""
     h = d["fit"]["held_out"]
     if h is None:
-        return "Fewer than three settings: none could be left out to test the prediction."
-    start = f"Every setting was left out in turn ({h['folds']} folds, {h['data']} data) and predicted from the others. "
+        return f"Fewer than three {words.setting}s: none could be left out to test the prediction."
+    start = f"Every {words.setting} was left out in turn ({h['folds']} folds, {h['data']} data) and predicted from the "
+    start += "others. "
     before, after, sigma = h["excess_chi2_before"], h["excess_chi2_after"], h["sigma"]
     if d["verdict"] == "nothing-missing":
         return start + f"Beyond noise and setting errors they miss by an excess χ² of {_chi2(before)} ± {sigma:.0f}."

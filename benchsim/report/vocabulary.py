@@ -14,8 +14,8 @@ class Vocabulary:
     ----------
     kinds : mapping of str to (str, str)
         Observable → its name and unit; a kind that is not here is called by its own name.
-    one : str
-        What one recording is called.
+    one, setting : str
+        What one recording is called, and what is left out in turn.
     remedy : str
         Before what is to be done about an effect.
     recordings : str
@@ -32,6 +32,7 @@ class Vocabulary:
 
     kinds: Mapping[str, tuple[str, str]]
     one: str
+    setting: str
     remedy: str
     recordings: str
     noise: str
@@ -48,6 +49,7 @@ BENCH = Vocabulary(
         "m": ("marks", "px"),
     },
     one="exposure",
+    setting="setting",
     remedy="On the bench",
     recordings="recordings",
     noise="what the photographs' own error bars say",
@@ -62,6 +64,7 @@ def mount(unit: str) -> Vocabulary:
     return Vocabulary(
         kinds={"across": ("across", unit), "up": ("up", unit)},
         one="record",
+        setting="record",
         remedy="At the mount",
         recordings="records",
         noise="the scatter of the records about the most probable single effects",
