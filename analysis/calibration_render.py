@@ -54,8 +54,8 @@ def main() -> int:
             print(f"{seed:4d}  {parameter:20s} {a:10.5g} {x:10.5g} {x - a:+10.2g} {s:10.2g}  {(x - a) / s:+5.2f}")
         print(
             f"      focal length {100 * (b.lens[0] / true[0] - 1):+.4f} % off; residuals {np.median(b.rms):.3f} px, "
-            f"black spread by {np.median(b.spread[:, 0]):+.3f} px, one focal length p = {found.focal.probability:.2g}, one "
-            f"principal point p = {found.principal_point.probability:.2g}; CPU {drawn - begin:.0f} s drawing, "
+            f"black spread by {np.median(b.spread[:, 0]):+.3f} px, one focal length p = {found.focal.probability:.2g}, "
+            f"one principal point p = {found.principal_point.probability:.2g}; CPU {drawn - begin:.0f} s drawing, "
             f"{time.process_time() - drawn:.0f} s calibrating",
             flush=True,
         )
