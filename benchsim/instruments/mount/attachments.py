@@ -17,8 +17,10 @@ from benchsim.instruments.mount import axes
 from benchsim.instruments.mount.prediction import Predict
 from benchsim.instruments.mount.records import Array
 
-RMS = {"arcsec": 60.0, "mrad": 10.0, "mm": 1000.0}
-"""Largest plausible rms of a function."""
+RMS = {"arcsec": 300.0, "mrad": 10.0, "mm": 1000.0}
+"""Largest plausible rms of a function: of a telescope half the cap of its terms, so that names and functions pay alike
+for being able to be large; of a heliostat less, since a dozen records cannot tell a function as large as a tilted
+pedestal from the pedestal."""
 
 
 @dataclass(frozen=True)

@@ -201,7 +201,9 @@ def candidates(mount: Mount, records: Records) -> tuple[Effect, ...]:
             terms.append(Parameter("change", "record", float(count), grid=grid))
         if entry.name == "target-position":
             terms = [replace(t, name=f"{t.name}_{k + 1}") for k in range(len(targets(records))) for t in terms]
-        out.append(Effect(entry.name, entry.element, tuple(terms), entry.says, entry.remedy))
+        # Several targets hang wrong by as much as they were surveyed badly, which nobody states.
+        population = entry.name == "target-position" and len(targets(records)) > 1
+        out.append(Effect(entry.name, entry.element, tuple(terms), entry.says, entry.remedy, random_field=population))
     return tuple(out)
 
 

@@ -21,9 +21,8 @@ from benchsim.instruments.mount.records import Array
 FREEDOM = 3.0
 """ν of Student's t."""
 
-ALPHA = 0.001
-"""Probability that a clean session loses a record. Small: a record that an effect could explain is worth more than a
-fit without it, and records that are wrong are mostly far out."""
+ALPHA = 0.02
+"""Probability that a clean session loses a record, `GROSS` aside."""
 
 MOST = 1 / 6
 """Part of the records that may be set aside."""
