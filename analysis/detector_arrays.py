@@ -153,6 +153,13 @@ def tables(hours: list[Hour]) -> list[str]:
         f"stated variance over the bound: median {np.median(claimed):.3f}, 5 to 95 % "
         f"{np.percentile(claimed, 5):.3f} to {np.percentile(claimed, 95):.3f}, largest {claimed.max():.3f}"
     )
+    six = np.concatenate(
+        [(h.error[:, :6] / h.bound[:6])[g[:, :6]] ** 2 for h, g in zip(hours, good, strict=True)]
+    ).ravel()
+    six = six[np.isfinite(six)]
+    lines.append(
+        f"error² over the bound, the six of Fig. 4: {six.mean():.3f} ± {np.sqrt(2 / six.size):.3f} (n {six.size})"
+    )
     lines.append("heliostat  hour_h  sigma_elevation_mrad  sigma_azimuth_mrad  rms_error/sigma  error²/bound")
     for h in hours:
         for k, name in enumerate(NAMES[: h.error.shape[1]]):
@@ -202,7 +209,7 @@ def draw_pulls(hours: list[Hour]) -> Figure:
     left.legend(frameon=False)
     for h in hours:
         far = np.broadcast_to(h.distance[:, None], h.bound.shape)
-        rms = np.sqrt(np.nanmean(h.error**2, axis=0))
+        rms = np.sqrt(np.ma.masked_invalid(h.error**2).mean(axis=0))
         for k in range(2):
             right.plot(far[:, k] / 1e6, 1e3 * rms[:, k], ".", color=COLOURS[k], markersize=4, alpha=0.8)
             right.plot(far[:, k] / 1e6, 1e3 * h.bound[:, k], "_", color="#222222", markersize=6, alpha=0.7)
