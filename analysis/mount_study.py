@@ -272,7 +272,7 @@ def run(rows: list[str], cases: int, seed: int, out: Path, workers: int) -> None
     done = {(c["row"], c["case"]) for c in read([path])} if path.exists() else set()
     todo = [(row, k) for k in range(cases) for row in rows if (row, k) not in done]
     with (
-        ProcessPoolExecutor(workers, mp_context=get_context("spawn"), max_tasks_per_child=60) as pool,
+        ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
         path.open("a", encoding="utf-8") as file,
     ):
         futures = [pool.submit(one, row, seed, k) for row, k in todo]
