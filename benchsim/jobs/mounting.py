@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from benchsim.bench.writing import write_text
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.attachments import absorb
 from benchsim.diagnosis.evidence import shapes
+from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amend
 from benchsim.instruments.mount import effects, stated
@@ -37,6 +38,14 @@ ROUNDS = 2
 
 NARROW_DEG = 10.0
 """Angle that the records span on the sky below which a remark is due."""
+
+WILD = {"mrad": 20.0, "arcsec": 60.0}
+"""Errors of a single record, beside everything that was fitted, above which nothing is believed: noise is estimated
+from the records themselves, so that records and mount that do not belong together would pass for noisy ones. Ten times
+what heliostats and telescopes show."""
+
+FEW = 8
+"""Records below which it means little that nothing was found."""
 
 DRIFT = "drift."
 
@@ -86,13 +95,18 @@ class MountDiagnosis:
         out.append(
             f"Errors of a single record, as the records show them: {across:.3g} {unit} across, {up:.3g} {unit} up."
         )
+        if len(b.problem.names) < FEW and self.diagnosis.verdict == "nothing-missing":
+            out.append(
+                f"From {len(b.problem.names)} records little can be told from chance: what is missing may be as large "
+                "as the residuals; add records."
+            )
         step = next((f for f in self.diagnosis.effects if f.name == "change-point"), None)
         if step is not None:
-            number = int(np.ceil(step.parameters["change"].value))
-            name = b.session.records.names[min(number, len(b.session.records.names) - 1)]
-            out.append(
-                f"Changed at record {number + 1}: from {name} on the mount is another; diagnose both parts apart."
-            )
+            kept = b.session.records.names
+            name = kept[min(int(np.ceil(step.parameters["change"].value)), len(kept) - 1)]
+            # Counted as the files do, records that were set aside among them.
+            number = self.session.records.names.index(name) + 1
+            out.append(f"Changed at record {number}: from {name} on the mount is another; diagnose both parts apart.")
         return tuple(out)
 
     @property
@@ -204,6 +218,7 @@ def diagnose_session(
     if not np.isfinite(session.records.source).all():
         raise BenchsimError(f"{session.path}: a direction is not finite; mend the records")
     progress("looking for outlying records", 0.05)
+    session = distinct(session)
     known = [e for e in effects.candidates(session.mount, session.records) if e.name not in without]
     built = mount_problem.build(session, catalogue=known)
     found = diagnosis.diagnose(built.problem, lambda what, done: progress(what, 0.1 + 0.7 * done))
@@ -216,7 +231,47 @@ def diagnose_session(
             break
         built = fewer
         found = diagnosis.diagnose(built.problem, lambda what, done: progress(what, 0.1 + 0.7 * done))
+    unit, size = session.mount.unit, float(np.sqrt(np.mean(found.residuals.sigma**2)))
+    if size > WILD[unit]:
+        remark = (
+            f"Whatever of the catalogue is put in, single records miss by {size:.3g} {unit}, more than the "
+            f"{WILD[unit]:g} {unit} up to which names are believed: records and mount do not belong together; check "
+            "units and signs, which record has which source, position and constants of the mount."
+        )
+        built = replace(built, remarks=(*built.remarks, remark))
+        found = _withdrawn(found, built.problem)
     return MountDiagnosis(session, built, found, amended(session, found), folder)
+
+
+def distinct(session: Session) -> Session:
+    """A session whose records differ: one that was copied is one witness, not two."""
+    records = session.records
+    rows = np.column_stack([records.reading, records.source, np.nan_to_num(records.spot)])
+    first = np.sort(np.unique(rows, axis=0, return_index=True)[1])
+    if len(first) == len(rows):
+        return session
+    copies = [n for k, n in enumerate(records.names) if k not in set(first)]
+    listed = ", ".join(copies[:5]) + (f" and {len(copies) - 5} more" if len(copies) > 5 else "")
+    remark = f"Equal to an earlier record to the last digit, and left out: {listed}."
+    return replace(session, records=records.chosen(first), remarks=(*session.remarks, remark))
+
+
+def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:
+    """A diagnosis that claims neither a name nor a place, and no gain."""
+    r, own = d.residuals, {p.name for e in problem.catalogue for p in e.parameters}
+    return replace(
+        d,
+        verdict="unexplained",
+        effects=(),
+        classes=(),
+        location=None,
+        law=None,
+        next=(),
+        held_out=None,
+        rms={k: (before, before) for k, (before, _) in d.rms.items()},
+        values={k: v for k, v in d.values.items() if k not in own},
+        residuals=replace(r, after=r.before, held_out_after=r.held_out_before),
+    )
 
 
 def amended(session: Session, d: Diagnosis) -> dict[str, dict[str, float]]:

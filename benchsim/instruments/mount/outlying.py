@@ -126,7 +126,8 @@ def _robust(data: Array, columns: Array) -> _Robust:
     for _ in range(_ROUNDS):
         w = np.repeat(weight, 2)
         gram = (columns * w[:, None]).T @ columns
-        inner = gram + sigma**2 * np.eye(columns.shape[1])
+        # A little more where records agree to the last digit, so that there is an inverse.
+        inner = gram + max(sigma**2, 1e-14 * float(np.trace(gram))) * np.eye(columns.shape[1])
         residual = data - columns @ np.linalg.solve(inner, (columns * w[:, None]).T @ data)
         used = float(np.trace(np.linalg.solve(inner, gram)))
         squares = (residual.reshape(-1, 2) ** 2).sum(axis=1)

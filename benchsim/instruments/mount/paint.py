@@ -2,14 +2,15 @@
 
 ``*-calibration-properties.json`` (one per recording: motor positions in steps, the sun's azimuth from south, west
 negative, and elevation [deg], focal spots [latitude, longitude, height m]), ``heliostat-properties.json`` (position and
-kinematics), and the tower file with the targets, looked for in the folder and then above it.
+kinematics; its name may begin with the heliostat's, and it may lie in a folder ``Properties`` beside), and the tower
+file with the targets, looked for in the folder and then above it.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from benchsim.instruments.mount.records import Actuator, Array, Mount, Records, 
 
 CALIBRATION = "*-calibration-properties.json"
 HELIOSTAT = "heliostat-properties.json"
+PROPERTIES = "Properties"
 TOWER = ("tower-measurements.json", "*tower*.json")
 
 METHODS = ("UTIS", "HeliOS")
@@ -34,10 +36,21 @@ FAR_M = 2000.0
 OFF_TARGET_M = 15.0
 """A spot further from its target's centre than this cannot have been seen on it."""
 
+CLOCKWISE = "clockwise_axis_movement"
+JOINTS = ("joint_translation_{}_1", "joint_translation_{}_2", "concentrator_translation_{}")
+
+LARGEST_M = 5.0
+"""No length of a heliostat's kinematics is larger."""
+
+DECLINATION_DEG = 25.0
+"""The sun's is at most 23.44 deg; the rest is for refraction and rounding."""
+
 
 def recognises(path: Path) -> bool:
-    """Whether a folder holds calibration recordings."""
-    return path.is_dir() and any(path.glob(CALIBRATION))
+    """Whether a path is of this data base: a folder of recordings or above one, or a file of such a folder."""
+    if path.is_dir():
+        return any(p for pattern in (CALIBRATION, f"*/{CALIBRATION}", f"*{HELIOSTAT}") for p in path.glob(pattern))
+    return path.match(CALIBRATION) or path.match(f"*{HELIOSTAT}")
 
 
 def read(folder: Path, tower: Path | None = None) -> Session:
@@ -59,36 +72,60 @@ def read(folder: Path, tower: Path | None = None) -> Session:
     BenchsimError
         If a file or a key is missing or has no plausible value; the message names file and key.
     """
+    if not folder.is_dir():
+        raise BenchsimError(f"{folder}: is one file of a heliostat's recordings; name the folder that holds them")
+    paths = sorted(folder.glob(CALIBRATION), key=_order)
+    if not paths:
+        inner = sorted({p.parent.name for p in folder.glob(f"*/{CALIBRATION}")})
+        mend = f"name one of its folders ({', '.join(inner[:5])})" if inner else "add the recordings"
+        raise BenchsimError(f"{folder}: holds no {CALIBRATION} itself; {mend}")
     tower = tower if tower is not None else find_tower(folder)
     plant = load(tower)
     origin = triple(tower, plant, "power_plant_properties.coordinates")
-    heliostat = folder / HELIOSTAT
+    heliostat = _only(folder, (folder, folder.resolve().parent / PROPERTIES), f"*{HELIOSTAT}", folder / HELIOSTAT)
     properties = load(heliostat)
     position = enu(triple(heliostat, properties, "heliostat_position"), origin)
-    if np.hypot(*position[:2]) > 1e3 * FAR_M:
+    if np.linalg.norm(position) > 1e3 * FAR_M:
         raise BenchsimError(
-            f"{heliostat}: heliostat_position: {np.hypot(*position[:2]) / 1e6:.3g} km from the tower; write latitude "
+            f"{heliostat}: heliostat_position: {np.linalg.norm(position) / 1e6:.3g} km from the tower; write latitude "
             "and longitude in deg and the height in m, and name the right tower with --tower"
         )
-    paths = sorted(folder.glob(CALIBRATION), key=_order)
     remarks: list[str] = []
-    rows = [_recording(p, plant, tower, origin, remarks) for p in paths]
-    rows = [r for r in rows if r is not None]
+    found = [(p, _recording(p, plant, tower, origin, remarks)) for p in paths]
+    used = [p for p, row in found if row is not None]
+    rows = [row for _, row in found if row is not None]
     mount = Mount(
         axes="east-west",
         observes="spot",
         position=position,
-        joints=_joints(heliostat, properties),
         actuators=_actuators(heliostat, properties),
+        joints=_joints(heliostat, properties, remarks),
         latitude=math.radians(origin[0]),
     )
     if not rows:
         raise BenchsimError(f"{folder}: no recording has a focal spot; add measured ones")
-    reading, source, spot, target, names = zip(*rows, strict=True)
+    reading, source, spot, target, methods = zip(*rows, strict=True)
+    names = tuple(p.name.removesuffix(CALIBRATION[1:]) for p in used)
+    second = [n for n, m in zip(names, methods, strict=True) if m != METHODS[0]]
+    if second:
+        which = f"any of the {len(names)} recordings" if len(second) == len(names) else ", ".join(second)
+        remarks.append(f"There is no spot of {METHODS[0]} in {which}; that of {METHODS[1]} is used.")
     records = Records(names, np.array(reading), np.array(source), np.array(spot), target)
-    _plausible(paths, records, mount)
-    unsure = [m for m in remarks]
-    return Session(folder.resolve().name, folder, (*paths, heliostat, tower), mount, records, tuple(unsure))
+    _plausible(used, records, mount)
+    return Session(folder.resolve().name, folder, (*paths, heliostat, tower), mount, records, tuple(remarks))
+
+
+def _only(folder: Path, places: Iterable[Path], pattern: str, absent: Path) -> Path:
+    """The one file of a pattern in the first of the places that has any; ``absent`` where none has."""
+    for place in places:
+        found = sorted(place.glob(pattern))
+        if len(found) > 1:
+            raise BenchsimError(
+                f"{folder}: {' and '.join(p.name for p in found[:3])} both match {pattern}; keep the right one"
+            )
+        if found:
+            return found[0]
+    return absent
 
 
 def find_tower(folder: Path) -> Path:
@@ -97,6 +134,11 @@ def find_tower(folder: Path) -> Path:
     for place in (start, *start.parents[:4]):
         for pattern in TOWER:
             found = sorted(p for p in place.glob(pattern) if not p.name.endswith("calibration-properties.json"))
+            if len(found) > 1:
+                raise BenchsimError(
+                    f"{place}: {' and '.join(p.name for p in found[:3])} may each be the tower's; name the right one "
+                    "with --tower FILE"
+                )
             if found:
                 return found[0]
     raise BenchsimError(
@@ -129,10 +171,12 @@ def _earth_centred(place: Array) -> Array:
 def load(path: Path) -> Mapping[str, Any]:
     """A JSON object."""
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
+        value = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise BenchsimError(f"{path}: cannot be read ({error.strerror}); put the file there") from None
-    except ValueError as error:
+    except UnicodeDecodeError:
+        raise BenchsimError(f"{path}: is not in UTF-8; save it so") from None
+    except (ValueError, RecursionError) as error:
         raise BenchsimError(f"{path}: is no JSON ({error}); mend the file") from None
     if not isinstance(value, dict):
         raise BenchsimError(f"{path}: is no JSON object; mend the file")
@@ -151,22 +195,31 @@ def value(path: Path, data: Mapping[str, Any], key: str) -> Any:
 
 def number(path: Path, data: Mapping[str, Any], key: str) -> float:
     """A finite number under a dotted key."""
-    found = value(path, data, key)
-    if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
-        raise BenchsimError(f"{path}: {key}: {found!r} is no finite number; mend it")
+    return _number(path, key, value(path, data, key))
+
+
+def _number(path: Path, key: str, found: Any) -> float:
+    if not _finite(found):
+        raise BenchsimError(f"{path}: {key}: {_short(found)} is no finite number; mend it")
     return float(found)
+
+
+def _finite(found: Any) -> bool:
+    # An integer may be too large to be a float.
+    return not isinstance(found, bool) and isinstance(found, int | float) and -1e300 < found < 1e300
+
+
+def _short(found: Any) -> str:
+    return repr(found) if len(repr(found)) < 80 else f"{repr(found)[:60]}…"
 
 
 def triple(path: Path, data: Mapping[str, Any], key: str) -> Array:
     """Latitude and longitude [deg] and height [m] under a dotted key."""
     found = value(path, data, key)
-    good = isinstance(found, list) and len(found) == 3
-    if not good or not all(isinstance(v, int | float) and math.isfinite(v) for v in found):
-        raise BenchsimError(f"{path}: {key}: {found!r} is not [latitude deg, longitude deg, height m]; mend it")
-    out = np.array(found, float)
-    if abs(out[0]) > 90 or abs(out[1]) > 360 or not -500 < out[2] < 9000:
-        raise BenchsimError(f"{path}: {key}: {found!r} is not [latitude deg, longitude deg, height m]; mend it")
-    return out
+    good = isinstance(found, list) and len(found) == 3 and all(_finite(v) for v in found)
+    if not good or abs(found[0]) > 90 or abs(found[1]) > 360 or not -500 < found[2] < 9000:
+        raise BenchsimError(f"{path}: {key}: {_short(found)} is not [latitude deg, longitude deg, height m]; mend it")
+    return np.array(found, float)
 
 
 def _order(path: Path) -> tuple[int, str]:
@@ -186,10 +239,19 @@ def _recording(
             f"{path}: sun_elevation, sun_azimuth: {elevation:g} and {azimuth:g} deg are no place of the sun; write "
             "degrees, azimuth from south with west negative"
         )
-    name = path.name.split("-", 1)[0]
-    target = str(value(path, data, "target_name"))
-    if target not in plant:
-        known = ", ".join(k for k in plant if k != "power_plant_properties")
+    sun = toward(np.array(np.pi - math.radians(azimuth)), np.array(math.radians(elevation)))
+    latitude = math.radians(origin[0])
+    declination = math.degrees(math.asin(float(sun @ [0.0, math.cos(latitude), math.sin(latitude)])))
+    if abs(declination) > DECLINATION_DEG:
+        raise BenchsimError(
+            f"{path}: sun_elevation, sun_azimuth: the sun never stands at {elevation:g} and {azimuth:g} deg at "
+            f"latitude {origin[0]:.4g} deg (its declination would be {declination:.0f} deg); write degrees, azimuth "
+            "from south with west negative"
+        )
+    target = value(path, data, "target_name")
+    targets = [k for k in plant if k != "power_plant_properties"]
+    if target not in targets:
+        known = ", ".join(targets)
         raise BenchsimError(f"{path}: target_name: {target!r} is not in {tower} ({known}); name the right tower file")
     spots = value(path, data, "focal_spot")
     if not isinstance(spots, Mapping):
@@ -198,8 +260,6 @@ def _recording(
     if method is None:
         remarks.append(f"{path.name}: neither {' nor '.join(METHODS)} found a focal spot; left out.")
         return None
-    if method != METHODS[0]:
-        remarks.append(f"{path.name}: no spot of {METHODS[0]}; that of {method} is used.")
     spot = enu(triple(path, data, f"focal_spot.{method}"), origin)
     centre = enu(triple(tower, plant, f"{target}.coordinates.center"), origin)
     off = float(np.linalg.norm(spot - centre)) / 1e3
@@ -208,8 +268,7 @@ def _recording(
             f"{path}: focal_spot.{method}: {off:.3g} m from the centre of {target}, which is off the target; mend the "
             "spot, the target's name, or the tower file"
         )
-    sun = toward(np.array(np.pi - math.radians(azimuth)), np.array(math.radians(elevation)))
-    return steps, sun, spot, target, name
+    return steps, sun, spot, target, method
 
 
 def _actuators(path: Path, data: Mapping[str, Any]) -> tuple[Actuator, ...]:
@@ -219,49 +278,62 @@ def _actuators(path: Path, data: Mapping[str, Any]) -> tuple[Actuator, ...]:
     out = []
     for k, one in enumerate(listed):
         key = f"kinematics_properties.actuators.{k + 1}"
-        inner = {"actuator": one}
+        if not isinstance(one, Mapping):
+            raise BenchsimError(f"{path}: {key}: {_short(one)} is no table of an actuator; mend the list")
 
-        def get(name: str, inner: dict[str, Any] = inner, key: str = key) -> float:
-            try:
-                return number(path, inner, f"actuator.{name}")
-            except BenchsimError as error:
-                raise BenchsimError(str(error).replace("actuator.", f"{key}.", 1)) from None
+        def get(name: str, default: float | None = None, one: Mapping[str, Any] = one, key: str = key) -> float:
+            if default is not None and name not in one:
+                return default
+            return _number(path, f"{key}.{name}", value(path, one, name))
 
+        for name in ("increment", "offset", "pivot_radius", "initial_stroke_length", "initial_angle", CLOCKWISE):
+            if name not in one:
+                raise BenchsimError(f"{path}: {key}.{name}: is missing; add it")
         kind = str(one.get("type_axis", "linear"))
         if kind != "linear":
             raise BenchsimError(f"{path}: {key}.type_axis: {kind!r} is not linear; only linear actuators are known")
-        offset, radius, increment = get("offset"), get("pivot_radius"), get("increment")
-        if not (0 < offset < 5 and 0 < radius < 5 and increment > 0):
+        offset = get("offset") + get("offset_shift", 0.0)
+        radius = get("pivot_radius") + get("radius_shift", 0.0)
+        increment, stroke, angle = get("increment"), get("initial_stroke_length"), get("initial_angle")
+        lengths = 0 < offset < LARGEST_M and 0 < radius < LARGEST_M and 0 <= stroke < LARGEST_M
+        if not lengths or increment <= 0:
             raise BenchsimError(
-                f"{path}: {key}: offset {offset:g}, pivot_radius {radius:g} m and increment {increment:g} steps per "
-                "m are no actuator of a heliostat; write metres"
+                f"{path}: {key}: offset {offset:g}, pivot_radius {radius:g}, initial_stroke_length {stroke:g} m and "
+                f"increment {increment:g} steps per m are no actuator of a heliostat; write metres"
             )
+        if abs(angle) > 2 * math.pi:
+            raise BenchsimError(f"{path}: {key}.initial_angle: {angle:g} rad is more than a turn; write radians")
+        clockwise = one[CLOCKWISE]
+        if clockwise not in (0, 1):
+            raise BenchsimError(f"{path}: {key}.{CLOCKWISE}: {_short(clockwise)} is neither 0 nor 1; mend it")
         first = -math.pi / 2 if k == 0 else 0.0
-        out.append(
-            Actuator(
-                1e3 * get("initial_stroke_length"),
-                1e3 * (offset + float(one.get("offset_shift", 0.0))),
-                1e3 * (radius + float(one.get("radius_shift", 0.0))),
-                increment / 1e3,
-                get("initial_angle") + first,
-                bool(one.get("clockwise_axis_movement", 0)),
-            )
-        )
+        out.append(Actuator(1e3 * stroke, 1e3 * offset, 1e3 * radius, increment / 1e3, angle + first, bool(clockwise)))
     return tuple(out)
 
 
-def _joints(path: Path, data: Mapping[str, Any]) -> Array:
-    inner = value(path, data, "kinematics_properties")
-    names = ("joint_translation_{}_1", "joint_translation_{}_2", "concentrator_translation_{}")
-    return 1e3 * np.array([[float(inner.get(n.format(k), 0.0)) for k in "enu"] for n in names])
+def _joints(path: Path, data: Mapping[str, Any], remarks: list[str]) -> Array:
+    """The three translations [mm]; those that are absent are none, and said."""
+    kinematics = value(path, data, "kinematics_properties")
+    names = [n.format(k) for n in JOINTS for k in "enu"]
+    absent = [n for n in names if n not in kinematics]
+    if absent:
+        remarks.append(f"{path.name} states no {', '.join(absent)}: taken as 0.")
+    out = [0.0 if n in absent else number(path, data, f"kinematics_properties.{n}") for n in names]
+    far = next((n for n, length in zip(names, out, strict=True) if abs(length) >= LARGEST_M), None)
+    if far:
+        raise BenchsimError(
+            f"{path}: kinematics_properties.{far}: {out[names.index(far)]:g} m is no length of a heliostat; write "
+            "metres"
+        )
+    return 1e3 * np.array(out).reshape(3, 3)
 
 
-def _plausible(paths: list[Path], records: Records, mount: Mount) -> None:
+def _plausible(paths: Sequence[Path], records: Records, mount: Mount) -> None:
     limits = [(0.0, 4.0 * a.increment * (a.offset + a.radius)) for a in mount.actuators]
-    for path, name, steps in zip(paths, records.names, records.reading, strict=False):
+    for path, steps in zip(paths, records.reading, strict=True):
         for k, (low, high) in enumerate(limits):
             if not low - 1 <= steps[k] <= high:
                 raise BenchsimError(
-                    f"{path if path.name.startswith(name) else name}: motor_position.axis_{k + 1}_motor_position: "
-                    f"{steps[k]:g} steps is beyond the actuator; mend the recording"
+                    f"{path}: motor_position.axis_{k + 1}_motor_position: {steps[k]:g} steps is beyond the actuator; "
+                    "mend the recording, or the actuator's increment"
                 )

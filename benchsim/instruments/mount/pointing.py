@@ -18,24 +18,30 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.mount.records import Array, Mount, Records, Session, toward
 
 _KEYED = re.compile(r"^\s*(RAA|TAA|LST|ARD|CAT)\s*:\s*(.*)$")
-_FIRST, _LAST = 200, 20
+_HEAD = 65536
 
 SCATTER = 0.02
 """Largest rms by which altitudes of the log may miss those of one latitude [rad]; more, and none is believed."""
+
+LOWEST_DEG = -1.0
+"""True altitude below which no star is seen."""
+
+FEWEST_FOR_HOURS = 8
+"""Stars that lie within 24 deg of azimuth only where these are hours, or by a rare choice that is worth a remark."""
 
 
 def recognises(path: Path) -> bool:
     """Whether a file looks like a pointing run."""
     try:
         with path.open("rb") as file:
-            head = file.read(20000)
+            head = file.read(_HEAD)
     except OSError:
         return False
     if b"\0" in head:
         return False
-    lines = head.decode("utf-8", errors="replace").splitlines()[:_FIRST]
+    lines = head.decode("utf-8-sig", errors="replace").splitlines()
     keyed = {m.group(1) for line in lines if (m := _KEYED.match(line))}
-    return {"RAA", "TAA"} <= keyed or any(_four(line) is not None for line in lines)
+    return bool({"RAA", "TAA"} & keyed) or any(_numerical(_bare(line)) > 2 for line in lines)
 
 
 def read(path: Path) -> Session:
@@ -55,10 +61,10 @@ def read(path: Path) -> Session:
         If a line cannot be understood; the message names file and line.
     """
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise BenchsimError(f"{path}: cannot be read ({error.strerror}); name a pointing file") from None
-    keyed = {m.group(1) for line in lines[:_FIRST] if (m := _KEYED.match(line))}
+    keyed = {m.group(1) for line in lines if (m := _KEYED.match(line))}
     if {"RAA", "TAA"} & keyed:
         rows, latitude, remarks = _log(path, lines)
     else:
@@ -66,6 +72,8 @@ def read(path: Path) -> Session:
     table = np.array([r[1] for r in rows], float).reshape(-1, 4)
     numbers = [r[0] for r in rows]
     _plausible(path, numbers, table)
+    if len(table) >= FEWEST_FOR_HOURS and np.abs(table[:, [0, 2]]).max() <= 24.0:
+        remarks.append("No azimuth exceeds 24: if they are hours, write degrees; the names below are wrong then.")
     true, raw = np.radians(table[:, :2]), np.radians(table[:, 2:])
     names = tuple(f"star {k + 1} (line {line})" for k, line in enumerate(numbers))
     records = Records(names, raw, toward(true[:, 0], true[:, 1]), np.full((len(names), 3), np.nan), ("",) * len(names))
@@ -98,7 +106,7 @@ def _log(path: Path, lines: Sequence[str]) -> tuple[list[tuple[int, list[float]]
         if not match:
             continue
         key, text = match.groups()
-        if key == "CAT" or (key == "RAA" and "RAA" in pending):
+        if key == "CAT" or (key in ("RAA", "TAA") and key in pending):
             close()
             pending = {}
         if key == "CAT":
@@ -128,33 +136,57 @@ def _latitude(sky: Sequence[tuple[float, float, float]]) -> tuple[float | None, 
 
 def _columns(path: Path, lines: Sequence[str]) -> tuple[list[tuple[int, list[float]]], float | None, list[str]]:
     rows: list[tuple[int, list[float]]] = []
+    remarks = ["The file states no latitude, so that a wrong clock is not among the candidates."]
     for number, line in enumerate(lines, 1):
-        text = line.split("#", 1)[0].split("!", 1)[0].strip()
-        if not text or text.upper() == "END":
+        text = _bare(line)
+        if not text:
             continue
+        if rows and text.upper() == "END":
+            break
         values = _four(text)
         if values is not None:
             rows.append((number, values))
+        elif not rows and _numerical(text) == 3 and len(_parts(text)) == 4:
+            remarks.append(f"Line {number}, {text[:40]!r}, is taken for a header, since it is not four numbers.")
         elif rows:
             raise BenchsimError(
                 f"{path}, line {number}: {text[:40]!r} is not four numbers (azimuth and altitude of the star, azimuth "
                 "and altitude as read, deg); mend or remove the line"
             )
     if not rows:
+        first = next((n for n, text in enumerate(lines, 1) if _numerical(_bare(text)) > 2), None)
         raise BenchsimError(
-            f"{path}: holds neither RAA and TAA lines nor four columns of numbers; name a pointing file"
+            f"{path}{'' if first is None else f', line {first}'}: holds neither RAA and TAA lines nor four columns of "
+            "numbers (azimuth and altitude of the star, azimuth and altitude as read, deg); name a pointing file"
         )
-    return rows, None, ["The file states no latitude, so that a wrong clock is not among the candidates."]
+    return rows, None, remarks
+
+
+def _bare(line: str) -> str:
+    """A line of columns without its comment."""
+    return line.split("#", 1)[0].split("!", 1)[0].strip()
+
+
+def _parts(text: str) -> list[float | None]:
+    """The fields of a line, those that are no numbers as None."""
+
+    def one(part: str) -> float | None:
+        try:
+            return float(part)
+        except ValueError:
+            return None
+
+    return [one(part) for part in re.split(r"[\s,;]+", text.strip(" \t,;"))]
+
+
+def _numerical(text: str) -> int:
+    """How many fields are numbers."""
+    return sum(part is not None for part in _parts(text))
 
 
 def _four(line: str) -> list[float] | None:
-    parts = line.replace(",", " ").split()
-    if len(parts) != 4:
-        return None
-    try:
-        return [float(p) for p in parts]
-    except ValueError:
-        return None
+    found = [part for part in _parts(line) if part is not None]
+    return found if len(found) == 4 == len(_parts(line)) else None
 
 
 def _numbers(path: Path, number: int, key: str, text: str) -> list[float]:
@@ -162,7 +194,7 @@ def _numbers(path: Path, number: int, key: str, text: str) -> list[float]:
         values = [float(p) for p in text.split()[:2]]
     except ValueError:
         values = []
-    if len(values) != 2:
+    if len(values) != 2 or not np.isfinite(values).all():
         raise BenchsimError(
             f"{path}, line {number}: {key}: {text.strip()!r} is not two numbers; mend or remove the star"
         )
@@ -172,6 +204,8 @@ def _numbers(path: Path, number: int, key: str, text: str) -> list[float]:
 def _sexagesimal(path: Path, number: int, text: str) -> float:
     try:
         hours, minutes, seconds = (float(p) for p in text.strip().split(":"))
+        if not np.isfinite(hours + minutes + seconds):
+            raise ValueError
     except ValueError:
         raise BenchsimError(
             f"{path}, line {number}: LST: {text.strip()!r} is not hours:minutes:seconds; mend or remove the line"
@@ -187,8 +221,11 @@ def _plausible(path: Path, numbers: Sequence[int], table: Array) -> None:
         if max(abs(row[1]), abs(row[3])) > 90.0 + 1.0 or max(abs(row[0]), abs(row[2])) > 720.0:
             raise BenchsimError(
                 f"{path}, line {line}: altitude {row[1]:g} and {row[3]:g} deg, azimuth {row[0]:g} and {row[2]:g} deg "
-                "are no directions; the columns are azimuth and altitude true, azimuth and altitude as read, in deg"
+                "are no directions; the columns are azimuth and altitude true, azimuth and altitude as read, in deg "
+                "(before a line of a header write !)"
             )
+        if row[1] < LOWEST_DEG:
+            raise BenchsimError(f"{path}, line {line}: altitude {row[1]:g} deg is below the horizon; remove the line")
     if len(table) >= 3 and np.abs(table).max() <= 2 * np.pi:
         raise BenchsimError(
             f"{path}, line {numbers[0]}: no angle exceeds {np.abs(table).max():.3g}: these look like radians; "
@@ -198,5 +235,5 @@ def _plausible(path: Path, numbers: Sequence[int], table: Array) -> None:
     if len(table) >= 3 and np.median(rise) > 5.0:
         raise BenchsimError(
             f"{path}, line {numbers[0]}: true and read altitudes differ by {np.median(rise):.3g} deg in the median; "
-            "the columns are azimuth and altitude true, azimuth and altitude as read, in deg"
+            "the columns are azimuth and altitude true, azimuth and altitude as read, in deg, of one star each"
         )

@@ -33,7 +33,7 @@ _KEYS = {"format", "recordings", "tower", "effects"}
 
 def recognises(path: Path) -> bool:
     """Whether a path is recordings of a mount: a PAINT folder, a pointing file, or such a TOML file."""
-    if path.is_dir():
+    if path.is_dir() or (path.is_file() and paint.recognises(path)):
         return paint.recognises(path)
     if not path.is_file():
         return False
@@ -56,7 +56,7 @@ def read(path: Path, tower: Path | None = None) -> Session:
     BenchsimError
         As the readers; or if the TOML file has an unknown key, effect or parameter.
     """
-    if path.is_dir():
+    if path.is_dir() or paint.recognises(path):
         return paint.read(path, tower)
     if path.suffix != ".toml":
         return pointing.read(path)
@@ -70,9 +70,12 @@ def read(path: Path, tower: Path | None = None) -> Session:
     where = path.parent / named
     if not where.exists() or (where.is_file() and where.suffix == ".toml"):
         raise BenchsimError(f"{path}: recordings: {where} does not exist or is no recording; correct the path")
-    stated = data.get("tower")
-    session = read(where, tower or (path.parent / stated if isinstance(stated, str) else None))
-    found = {n: dict(v) for n, v in data.get("effects", {}).items()}
+    stated, found = data.get("tower"), data.get("effects", {})
+    if stated is not None and not isinstance(stated, str):
+        raise BenchsimError(f"{path}: tower: {stated!r} is no path; name the file of the tower")
+    if not isinstance(found, dict) or not all(isinstance(v, dict) for v in found.values()):
+        raise BenchsimError(f"{path}: effects: is no table of effects; write [effects.NAME] with a line per parameter")
+    session = read(where, tower or (path.parent / stated if stated is not None else None))
     _check(path, session, found)
     return replace(session, title=path.stem, path=path, files=(path, *session.files), effects=found)
 
@@ -97,7 +100,7 @@ def write(session: Session, found: Mapping[str, Mapping[str, float]], path: Path
 
 def _toml(path: Path) -> dict[str, Any]:
     try:
-        return tomlkit.parse(path.read_text(encoding="utf-8")).unwrap()
+        return tomlkit.parse(path.read_text(encoding="utf-8-sig")).unwrap()
     except OSError as error:
         raise BenchsimError(f"{path}: cannot be read ({error.strerror}); name a file") from None
     except (ParseError, UnicodeDecodeError) as error:
