@@ -57,6 +57,8 @@ def _forms(predict: Predict) -> list[_Form]:
     ]
     if mount.observes == "sky":
         height = np.arcsin(np.clip(records.source[:, 2:], -1, 1))
+        # A tube that sinks and air that lifts are one function of the elevation: neither is claimed over the other.
+        forms.append(_Form("mount.sinking", "mount", "elevation of the tube", ("IE",), angle, height, wide))
         return [*forms, _Form("sky.elevation", "sky", "elevation of the light", ("sun_up",), angle, height, wide)]
     sun = records.source
     forms.append(_Form("sky.direction", "sky", "place of the sun", ("sun_across", "sun_up"), angle, sun, wide))
