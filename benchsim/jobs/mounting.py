@@ -31,6 +31,7 @@ from benchsim.report import diagnosis_pictures as pictures
 from benchsim.report import mount_pictures
 from benchsim.report.diagnosis_text import About, summary
 from benchsim.report.page import FORMAT
+from benchsim.report.page_words import PRIOR
 from benchsim.report.vocabulary import mount as vocabulary
 
 ROUNDS = 2
@@ -43,6 +44,9 @@ WILD = {"mrad": 20.0, "arcsec": 60.0}
 """Errors of a single record, beside everything that was fitted, above which nothing is believed: noise is estimated
 from the records themselves, so that records and mount that do not belong together would pass for noisy ones. Ten times
 what heliostats and telescopes show."""
+
+NEXT = 5
+"""Proposals for a next record that are told; the others are hardly worse than these, and far too many to read."""
 
 FEW = 8
 """Records below which it means little that nothing was found."""
@@ -240,6 +244,7 @@ def diagnose_session(
         )
         built = replace(built, remarks=(*built.remarks, remark))
         found = _withdrawn(found, built.problem)
+    found = replace(found, next=found.next[:NEXT])
     return MountDiagnosis(session, built, found, amended(session, found), folder)
 
 
@@ -258,7 +263,7 @@ def distinct(session: Session) -> Session:
 
 def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:
     """A diagnosis that claims neither a name nor a place, and no gain."""
-    r, own = d.residuals, {p.name for e in problem.catalogue for p in e.parameters}
+    r, held, own = d.residuals, d.held_out, {p.name for e in problem.catalogue for p in e.parameters}
     return replace(
         d,
         verdict="unexplained",
@@ -267,7 +272,8 @@ def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:
         location=None,
         law=None,
         next=(),
-        held_out=None,
+        held_out=None if held is None else replace(held, excess_chi2_after=held.excess_chi2_before),
+        probability=dict.fromkeys(d.probability, PRIOR),
         rms={k: (before, before) for k, (before, _) in d.rms.items()},
         values={k: v for k, v in d.values.items() if k not in own},
         residuals=replace(r, after=r.before, held_out_after=r.held_out_before),

@@ -52,22 +52,23 @@ def residuals(path: Path, source: Array, r: Residuals, unit: str, title: str) ->
         axes.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"], fontsize=8)
         axes.set_title(f"{word}: rms {size:.3g} {unit}", fontsize=9)
     number = np.arange(1, len(before) + 1)
+    sigmas = r.sigma.reshape(-1, 2)
+    linear = max(3 * float(sigmas.max()), 1e-9)
+    wide = float(np.nanmax(np.abs(before))) > 5 * linear
     for k, word in enumerate(("across", "up")):
         axes = figure.add_subplot(grid[1, k])
         _plain(axes)
-        sigma = r.sigma.reshape(-1, 2)[:, k]
+        sigma = sigmas[:, k]
         axes.fill_between(number, -sigma, sigma, step="mid", color="#e8f3ea", linewidth=0, label="±1σ of a record")
         axes.axhline(0, color=GREY, linewidth=0.6)
         axes.plot(number, before[:, k], "o", color=STATED, markersize=3, markerfacecolor="none", label="before")
         axes.plot(number, after[:, k], "o", color=EXPLAINED, markersize=3, label="after, fitted")
         if np.isfinite(left[:, k]).any():
             axes.plot(number, left[:, k], "x", color="black", markersize=3.5, label="after, left out")
-        reach = 1.1 * max(float(np.nanmax(np.abs(before[:, k]))), 3 * float(sigma.max()))
-        linear = max(3 * float(sigma.max()), 1e-9)
-        if reach > 4 * linear:
+        if wide:
             axes.set_yscale("symlog", linthresh=linear)
+            axes.yaxis.set_major_formatter("{x:g}")
         axes.set(xlabel="number of the record", ylabel=f"{word} ({unit})")
-        if k == 0:
-            axes.legend(fontsize=7, loc="best")
+    figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncol=4, frameon=False)
     figure.suptitle(f"{title}: recorded less predicted direction, over the sky and by record", fontsize=10)
     _save(figure, path)
