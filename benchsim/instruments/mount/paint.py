@@ -42,8 +42,8 @@ JOINTS = ("joint_translation_{}_1", "joint_translation_{}_2", "concentrator_tran
 LARGEST_M = 5.0
 """No length of a heliostat's kinematics is larger."""
 
-DECLINATION_DEG = 25.0
-"""The sun's is at most 23.44 deg; the rest is for refraction and rounding."""
+DECLINATION_DEG = 32.0
+"""The sun's is at most 23.44 deg; the rest leaves to the diagnosis what is a little wrong, and refuses other units."""
 
 
 def recognises(path: Path) -> bool:
