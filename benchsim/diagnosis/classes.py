@@ -299,6 +299,6 @@ def likely(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> 
         rest = _less(kept, frozenset([e]))
         instead = [h for h in z if set(rest) < set(h) and e not in h and len(h) == len(kept)]
         filled = [z[kept], *(z[h] for h in instead if separation(within, signal, h) < CLOSE)]
-        if np.logaddexp.reduce(filled) - z[rest] < np.log(LIKELY / (1 - LIKELY)):
+        if np.logaddexp.reduce(filled) - z.get(rest, -np.inf) < np.log(LIKELY / (1 - LIKELY)):
             kept = rest
     return kept
