@@ -16,10 +16,10 @@ import os
 import tempfile
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -227,7 +227,7 @@ def photographs_case(row: str, seed: int, case: int, shrink: int) -> dict[str, A
     }  # fmt: skip
 
 
-def one(tier: str, row: str, seed: int, case: int, shrink: int, fresh: bool) -> dict[str, Any]:
+def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: bool) -> dict[str, Any]:
     """A case, or the complaint that ended it."""
     try:
         if tier == "traces":
@@ -237,19 +237,20 @@ def one(tier: str, row: str, seed: int, case: int, shrink: int, fresh: bool) -> 
         return {"tier": tier, "row": row, "seed": seed, "case": case, "error": f"{type(error).__name__}: {error}"}
 
 
-def run(tier: str, rows: list[str], cases: int, seed: int, out: Path, workers: int, shrink: int, fresh: bool) -> None:
-    """Run what is not there yet."""
+def run(
+    call: Callable[[str, int, int], dict[str, Any]], rows: list[str], cases: int, seed: int, path: Path, workers: int
+) -> None:
+    """Run what is not there yet: ``call(row, seed, case)`` in worker processes, a line of ``path`` for each."""
     for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[key] = "1"  # the workers are spawned with it; one thread each
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / f"{tier}-{seed}.jsonl"
+    path.parent.mkdir(parents=True, exist_ok=True)
     done = {(c["row"], c["case"]) for c in read([path])} if path.exists() else set()
     todo = [(row, k) for k in range(cases) for row in rows if (row, k) not in done]
     with (
         ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
         path.open("a", encoding="utf-8") as file,
     ):
-        futures = [pool.submit(one, tier, row, seed, k, shrink, fresh) for row, k in todo]
+        futures = [pool.submit(call, row, seed, k) for row, k in todo]
         for i, future in enumerate(as_completed(futures), 1):
             case = future.result()
             file.write(json.dumps(case) + "\n")
@@ -291,10 +292,15 @@ def main() -> None:
     args = parser.parse_args()
     if args.command == "run":
         rows = args.rows.split(",")
-        run(args.tier, rows, args.cases, args.seed, args.out, args.workers, args.shrink, args.fresh)
+        call = partial(one, tier=args.tier, shrink=args.shrink, fresh=args.fresh)
+        run(call, rows, args.cases, args.seed, args.out / f"{args.tier}-{args.seed}.jsonl", args.workers)
         return
-    cases = read(args.files)
-    print(score.table(cases), score.confusion(cases), score.reliability(cases), sep="\n\n")
+    tell(read(args.files))
+
+
+def tell(cases: list[dict[str, Any]], *more: str) -> None:
+    """Print the tables of cases, with more between rates and confusion."""
+    print(score.table(cases), *more, score.confusion(cases), score.reliability(cases), sep="\n\n")
     bad = [c for c in cases if "error" in c]
     print(f"\n{len(cases)} cases, {len(bad)} without a verdict")
     for c in bad[:10]:

@@ -75,12 +75,10 @@ def curve(place: tuple[float, float], errors: dict[str, float], declination: flo
     sun = np.stack([sun_at(LATITUDE, declination, h) for h in HOURS])
     keep = (sun[:, 2] > np.sin(np.radians(5))) & (sun @ toward_receiver > -0.9)
     sun = sun[keep]
-    ideal = sun + toward_receiver
-    ideal /= np.linalg.norm(ideal, axis=1, keepdims=True)
-    reading = np.column_stack(angles(ideal))
+    reading = np.column_stack(angles(sun + toward_receiver))
     x = {k: np.full(len(sun), 1e-3 * v) for k, v in errors.items()}
     normal, _ = axes.pointing(Mount("az-el", "spot"), reading, x)
-    beam = 2 * normal * (normal * sun).sum(axis=1, keepdims=True) - sun
+    beam = axes.reflected(normal, sun)
     reach = (RECEIVER[1] - position[1]) / beam[:, 1]
     spot = position + reach[:, None] * beam - RECEIVER
     return spot[:, [0, 2]], HOURS[keep]

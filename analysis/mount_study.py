@@ -12,26 +12,22 @@ study resumes.
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import time
 import zlib
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import study_score as score
-from diagnosis_study import read, verdict_of
+from diagnosis_study import read, run, tell, verdict_of
 from numpy.typing import NDArray
 
 from benchsim.diagnosis.linear import whiten
 from benchsim.diagnosis.problem import Problem
-from benchsim.instruments.mount import axes, effects, sky
+from benchsim.instruments.mount import axes, effects, posing, sky
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.further import OBLIQUITY, aimed, sun_at
+from benchsim.instruments.mount.prediction import STEPS
 from benchsim.instruments.mount.records import UNITS, Actuator, Mount, Records, Session, toward
 from benchsim.jobs.mounting import diagnose_session
 from benchsim.trial.draws import Sight, as_effects, draw_effect
@@ -72,7 +68,7 @@ def scene(rng: np.random.Generator) -> Scene:
     catalogue = effects.candidates(session.mount, session.records)
     predict = mount_problem.predicted(session, catalogue)
     drift = mount_problem.DRIFT * sigma * mount_problem.drift(session.mount, len(session.records.names))
-    return Scene(session, sigma, mount_problem.problem_of(replace(predict, drift=drift), catalogue, sigma))
+    return Scene(session, sigma, posing.problem_of(replace(predict, drift=drift), catalogue, sigma))
 
 
 def telescope(rng: np.random.Generator) -> Session:
@@ -141,7 +137,7 @@ def recorded(session: Session, inside: dict[str, Array], bent: Array | None, noi
     i = np.arange(n)
     if "change" in x:
         # Abruptly, unlike the fit's own description of it.
-        for name, step in (("IA", "dIA"), ("IE", "dIE"), ("grown_1", "step_1"), ("grown_2", "step_2")):
+        for name, step in STEPS.items():
             if step in x:
                 x[name] = x.get(name, 0.0) + (i > x["change"]) * x[step]
     normal, centre = axes.pointing(mount, r.reading, x)
@@ -151,7 +147,7 @@ def recorded(session: Session, inside: dict[str, Array], bent: Array | None, noi
         back = {k: -v for k, v in x.items() if k in ("dt", "refr")}
         return replace(session, records=replace(r, source=sky.seen(mount, seen, back)))
     light = sky.seen(mount, r.source, x)
-    beam = displaced(2 * normal * (normal * light).sum(axis=1, keepdims=True) - light, moved)
+    beam = displaced(axes.reflected(normal, light), moved)
     none = np.zeros(n)
     shift = np.column_stack([x.get(f"mirror_{k}", none) + x.get(f"survey_{k}", none) for k in "enu"])
     start = centre + shift
@@ -218,7 +214,7 @@ def _case(row: str, seed: int, case: int) -> dict[str, Any]:
         for name, wide in (("IA", 3600.0), ("IE", 120.0)):
             inside[name] = inside.get(name, 0.0) + np.full(n, rng.uniform(-wide, wide) * unit)
     else:
-        inside |= {f"survey_{k}": np.full(n, rng.normal(0, mount_problem.SURVEY_SIGMA)) for k in "enu"}
+        inside |= {f"survey_{k}": np.full(n, rng.normal(0, posing.SURVEY_SIGMA)) for k in "enu"}
     noise = on.sigma * unit * rng.standard_normal((n, 2))
     modes = mount_problem.drift(mount, n)
     noise += on.sigma * unit * rng.uniform(0, 0.6) * modes @ rng.standard_normal((modes.shape[1], 2))
@@ -263,28 +259,6 @@ def direction(rng: np.random.Generator, n: int) -> Array:
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def run(rows: list[str], cases: int, seed: int, out: Path, workers: int) -> None:
-    """Run what is not there yet."""
-    for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[key] = "1"
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / f"mounts-{seed}.jsonl"
-    done = {(c["row"], c["case"]) for c in read([path])} if path.exists() else set()
-    todo = [(row, k) for k in range(cases) for row in rows if (row, k) not in done]
-    with (
-        ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
-        path.open("a", encoding="utf-8") as file,
-    ):
-        futures = [pool.submit(one, row, seed, k) for row, k in todo]
-        for i, future in enumerate(as_completed(futures), 1):
-            case = future.result()
-            file.write(json.dumps(case) + "\n")
-            file.flush()
-            said = case.get("error") or f"{case['verdict']} {'+'.join(case['named'])} {case['classes'] or ''}"
-            told = "" if "truth" not in case else f"{case['truth']['stranger']}{'+'.join(case['truth']['effects'])}"
-            print(f"{i}/{len(todo)} {case['row']} {case['case']}: {told or 'nothing'} -> {said}", flush=True)
-
-
 def outliers(cases: list[dict[str, Any]]) -> str:
     """How wrong records, and how many right ones, were set aside."""
     own = [c for c in cases if c["row"] == "clean-outlier" and "aside" in c]
@@ -311,14 +285,10 @@ def main() -> None:
     show.add_argument("files", type=Path, nargs="+")
     args = parser.parse_args()
     if args.command == "run":
-        run(args.rows.split(","), args.cases, args.seed, args.out, args.workers)
+        run(one, args.rows.split(","), args.cases, args.seed, args.out / f"mounts-{args.seed}.jsonl", args.workers)
         return
     cases = read(args.files)
-    print(score.table(cases), outliers(cases), score.confusion(cases), score.reliability(cases), sep="\n\n")
-    bad = [c for c in cases if "error" in c]
-    print(f"\n{len(cases)} cases, {len(bad)} without a verdict")
-    for c in bad[:10]:
-        print(f"  {c['row']} {c['case']}: {c['error']}")
+    tell(cases, outliers(cases))
 
 
 if __name__ == "__main__":

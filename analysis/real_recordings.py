@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import amplitudes, shapes
-from benchsim.instruments.bench import amend
+from benchsim.diagnosis.result import chosen
 from benchsim.instruments.mount import paint, pointing, sky
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import Session
@@ -53,16 +53,16 @@ def left_out(built: Built, names: set[str]) -> tuple[Array, Array]:
     fixed = {p.name for e in problem.catalogue if e.name in names for p in shapes(e)}
     assert not fixed, "a change in time predicts no record left out"
     out = []
-    for chosen in (many, [*many, *own]):
-        sigma = np.array([p.sigma for p in chosen])
+    for fitted in (many, [*many, *own]):
+        sigma = np.array([p.sigma for p in fitted])
         at: dict[str, float] = {}
         for _ in range(6):
-            slopes = linear.columns(problem, at, tuple(chosen)) * sigma / built.sigma
-            here = np.array([at.get(p.name, 0.0) for p in chosen]) / sigma
+            slopes = linear.columns(problem, at, tuple(fitted)) * sigma / built.sigma
+            here = np.array([at.get(p.name, 0.0) for p in fitted]) / sigma
             target = (problem.data - linear.predict_all(problem, at)) / built.sigma + slopes @ here
-            inner = slopes.T @ slopes + np.eye(len(chosen))
+            inner = slopes.T @ slopes + np.eye(len(fitted))
             x = np.linalg.solve(inner, slopes.T @ target)
-            at = {p.name: float(v * s) for p, v, s in zip(chosen, x, sigma, strict=True)}
+            at = {p.name: float(v * s) for p, v, s in zip(fitted, x, sigma, strict=True)}
         hat = slopes @ np.linalg.solve(inner, slopes.T)
         rest = target - slopes @ x
         miss = []
@@ -96,8 +96,7 @@ def telescope(path: Path, terms: dict[str, float] | None) -> tuple[str, tuple[Ar
     """A pointing run: what is found, against the observatory's terms where they are known."""
     r = diagnose_session(pointing.read(path))
     d = r.diagnosis
-    chosen = {f.name for f in d.effects} | set(amend.chosen(d))
-    before, after = left_out(r.built, chosen)
+    before, after = left_out(r.built, {f.name for f in d.effects} | set(chosen(d)))
     lines = [f"{path.name}: {said(r)}"]
     lines.append(f"  left one out: median {np.median(before):.2f} -> {np.median(after):.2f} arcsec")
     held = d.held_out

@@ -15,6 +15,10 @@ VERDICTS = ("nothing-missing", "named", "class", "located", "unexplained")
 """What is left open: nothing at all was found; all is named; only alternatives; an element; not even that."""
 
 
+CLAIMED = 0.9
+"""Probability from which a class is claimed where the verdict is not "class"."""
+
+
 @dataclass(frozen=True)
 class Size:
     """A parameter with its 1 sigma, both in ``unit``."""
@@ -254,3 +258,9 @@ class Diagnosis:
             "probability": dict(self.probability),
             "notes": list(self.notes),
         }
+
+
+def chosen(d: Diagnosis) -> tuple[str, ...]:
+    """Effects of the most probable member of every class that is claimed."""
+    claimed = [c for c in d.classes if c.members and (d.verdict == "class" or c.probability >= CLAIMED)]
+    return tuple(dict.fromkeys(name for c in claimed for name in c.members[0]))

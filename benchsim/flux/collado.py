@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf
 
-from benchsim.flux.heliostat import Heliostat, Target, mirror_axes, reflected
+from benchsim.flux.heliostat import Heliostat, Target, mirror_axes
+from benchsim.instruments.mount.axes import reflected
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchsim.flux.collado import flux
-from benchsim.flux.heliostat import Heliostat, Target, ideal_normal, landing, reflected
-from benchsim.instruments.mount.axes import pointing
+from benchsim.flux.heliostat import Heliostat, Target, ideal_normal, landing
+from benchsim.instruments.mount.axes import pointing, reflected
 from benchsim.instruments.mount.records import Mount, angles
 
 Array = NDArray[np.float64]

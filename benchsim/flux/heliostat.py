@@ -97,12 +97,6 @@ def ideal_normal(position: ArrayLike, aim: ArrayLike, sun: ArrayLike) -> Array:
     return unit(unit(np.asarray(aim, float) - np.asarray(position, float)) + np.asarray(sun, float))
 
 
-def reflected(normal: ArrayLike, sun: ArrayLike) -> Array:
-    """Direction of travel of light from the sun, r = −s + 2 n (n · s) (Lara-Cerecedo 2016, Eq. (4)), (..., 3)."""
-    n, s = np.asarray(normal, float), np.asarray(sun, float)
-    return np.asarray(2 * n * np.sum(n * s, axis=-1, keepdims=True) - s)
-
-
 def landing(position: ArrayLike, direction: ArrayLike, target: Target) -> Array:
     """Where a ray meets the target's plane, (along its width, up) from its centre [mm], (..., 2); nan: it does not."""
     p, r = np.asarray(position, float), np.asarray(direction, float)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,10 @@ from benchsim.diagnosis import linear
 from benchsim.diagnosis.attachments import absorb
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.result import Diagnosis
-from benchsim.instruments.bench import amend
+from benchsim.diagnosis.result import Diagnosis, chosen
 from benchsim.instruments.mount import effects, stated
 from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.problem import ZERO_SIGMA, Built
+from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Session
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
@@ -76,7 +76,7 @@ class MountDiagnosis:
     found: dict[str, dict[str, float]]
     folder: Path
 
-    @property
+    @cached_property
     def remarks(self) -> tuple[str, ...]:
         """What limits the conclusion, one sentence each."""
         b, unit = self.built, self.built.session.mount.unit
@@ -283,9 +283,9 @@ def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:
 def amended(session: Session, d: Diagnosis) -> dict[str, dict[str, float]]:
     """Stated effects with what was found added; of a class its most probable member."""
     out = {n: dict(terms) for n, terms in session.effects.items()}
-    chosen = {*(f.name for f in d.effects), *amend.chosen(d)}
+    claimed = {*(f.name for f in d.effects), *chosen(d)}
     for effect in effects.candidates(session.mount, session.records):
-        if effect.name not in chosen:
+        if effect.name not in claimed:
             continue
         own = out.setdefault(effect.name, {})
         for p in effect.parameters:
@@ -296,19 +296,13 @@ def amended(session: Session, d: Diagnosis) -> dict[str, dict[str, float]]:
 
 def zero_sigma(built: Built, d: Diagnosis) -> tuple[float, float]:
     """1 sigma of a telescope's encoder zeros beside everything that was found, in arcsec."""
-    problem = built.problem
-    own = tuple(
-        p
-        for e in problem.catalogue
-        for p in e.parameters
-        if not p.grid and (e.name in {f.name for f in d.effects} or e.name in amend.chosen(d))
-    )
+    problem, claimed = built.problem, {*(f.name for f in d.effects), *chosen(d)}
+    own = tuple(p for e in problem.catalogue if e.name in claimed for p in e.parameters if not p.grid)
     covariance = tuple(np.diag(d.residuals.sigma[problem.rows(b)] ** 2) for b in range(len(problem.names)))
     lin = absorb(problem, linear.linearise(problem, d.values, own, covariance))
     spread = linear.nuisance_posterior(lin, lin.residual, d.setting_scale)[1]
-    place = {p.name: k for k, p in enumerate(problem.nuisances)}
-    ia, ie = (float(np.sqrt(spread[place[n], place[n]])) * ZERO_SIGMA for n in ("IA", "IE"))
-    return ia, ie
+    sigma = {p.name: p.sigma * float(np.sqrt(spread[k, k])) for k, p in enumerate(problem.nuisances)}
+    return sigma["IA"], sigma["IE"]
 
 
 def _page(result: MountDiagnosis) -> dict[str, Any]:

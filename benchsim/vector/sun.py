@@ -106,7 +106,27 @@ def sun_angles(latitude: float, day_of_year: int, solar_hour: ArrayLike) -> tupl
     if not 1 <= day_of_year <= 366:
         raise BenchsimError(f"day of year: {day_of_year} is no day; give 1 to 366")
     hour_angle = np.radians(15.0 * (np.asarray(solar_hour, float) - 12.0))
-    declination = solarposition.declination_spencer71(day_of_year)
+    return horizontal(latitude, solarposition.declination_spencer71(day_of_year), hour_angle)
+
+
+def horizontal(latitude: float, declination: float, hour_angle: ArrayLike) -> tuple[Array, Array]:
+    """Azimuth and elevation of a direction given by declination and hour angle.
+
+    Parameters
+    ----------
+    latitude, declination : float
+        North positive [rad].
+    hour_angle : (...) array
+        From the meridian, west positive [rad].
+
+    Returns
+    -------
+    azimuth : (...) ndarray
+        From north toward east, 0 to 2π [rad].
+    elevation : (...) ndarray
+        Negative below the horizon [rad].
+    """
+    hour_angle = np.asarray(hour_angle, float)
     # not pvlib's analytical azimuth: at noon it says south where the sun stands north, and its arccos keeps 1e-8 rad
     equatorial = np.stack(
         [

@@ -13,13 +13,10 @@ from numpy.typing import NDArray
 from benchsim.bench.fields import FORMS, Field, evaluate, field
 from benchsim.bench.model import Recording
 from benchsim.bench.writing import write
-from benchsim.diagnosis.result import Diagnosis, Law
+from benchsim.diagnosis.result import Diagnosis, Law, chosen
 from benchsim.instruments.bench.effects import PHYSICS_OF, Term, simulated, terms
 
 Array = NDArray[np.float64]
-
-CLAIMED = 0.9
-"""Probability from which a class is claimed where the verdict is not "class"."""
 
 
 def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recording:
@@ -53,12 +50,6 @@ def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recor
         name, new = law_field(d.law)
         fields[name] = new if name not in fields else summed(fields[name], new)
     return replace(recording, physics=simulated(recording, against), effects=effects, fields=fields)
-
-
-def chosen(d: Diagnosis) -> tuple[str, ...]:
-    """Effects of the most probable member of every class that is claimed."""
-    claimed = [c for c in d.classes if c.members and (d.verdict == "class" or c.probability >= CLAIMED)]
-    return tuple(dict.fromkeys(name for c in claimed for name in c.members[0]))
 
 
 def combined(name: str, old: Mapping[str, float], found: Mapping[str, float], facets: int) -> dict[str, float]:

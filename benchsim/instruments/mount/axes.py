@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from benchsim.instruments.mount.records import Actuator, Array, Mount, toward
@@ -126,6 +126,12 @@ def _sagged(normal: Array, x: Inside) -> Array:
     low = np.maximum(np.abs(sine), 0.02) * np.where(sine < 0, -1.0, 1.0)
     bent = normal - (tf[:, None] + tx[:, None] / low) * toward_zenith
     return np.asarray(bent / np.linalg.norm(bent, axis=1, keepdims=True))
+
+
+def reflected(normal: ArrayLike, source: ArrayLike) -> Array:
+    """Direction of travel of light from ``source``, r = −s + 2 n (n · s) (Lara-Cerecedo 2016, Eq. (4)), (..., 3)."""
+    n, s = np.asarray(normal, float), np.asarray(source, float)
+    return np.asarray(2 * n * np.sum(n * s, axis=-1, keepdims=True) - s)
 
 
 def _of(x: Inside, name: str) -> NDArray[np.float64]:

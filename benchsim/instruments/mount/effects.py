@@ -197,7 +197,7 @@ def candidates(mount: Mount, records: Records) -> tuple[Effect, ...]:
         terms = [Parameter(t.name, unit(mount, t), _cap(mount, t) / 2) for t in entry.terms if _cap(mount, t) > 0]
         if entry.name == "change-point":
             # Between two records each, with three or more on either side: fewer are outlying records.
-            grid = tuple(k + 0.5 for k in range(2, count - 3))
+            grid = changes(count)
             terms.append(Parameter("change", "record", float(count), grid=grid))
         if entry.name == "target-position":
             terms = [replace(t, name=f"{t.name}_{k + 1}") for k in range(len(targets(records))) for t in terms]
@@ -205,6 +205,11 @@ def candidates(mount: Mount, records: Records) -> tuple[Effect, ...]:
         population = entry.name == "target-position" and len(targets(records)) > 1
         out.append(Effect(entry.name, entry.element, tuple(terms), entry.says, entry.remedy, random_field=population))
     return tuple(out)
+
+
+def changes(count: int) -> tuple[float, ...]:
+    """Places of a change among so many records: between two each, three or more on either side."""
+    return tuple(k + 0.5 for k in range(2, count - 3))
 
 
 def targets(records: Records) -> tuple[str, ...]:

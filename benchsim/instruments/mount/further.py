@@ -12,8 +12,10 @@ from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import amplitudes
 from benchsim.diagnosis.problem import Effect, Further, Problem
 from benchsim.instruments.mount import axes
+from benchsim.instruments.mount.posing import problem_of
 from benchsim.instruments.mount.prediction import Predict
 from benchsim.instruments.mount.records import Array, Mount, Records, angles, toward
+from benchsim.vector.sun import horizontal
 
 OBLIQUITY = np.radians(23.44)
 
@@ -85,11 +87,7 @@ def _sky(mount: Mount, reading: Array, where: Array) -> Records:
 
 def sun_at(latitude: float, declination: float, hour: float) -> Array:
     """Unit vector toward the sun at an hour angle of ``hour`` hours, (3,)."""
-    h = hour * np.pi / 12
-    east = -np.cos(declination) * np.sin(h)
-    north = np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(declination) * np.cos(h)
-    up = np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(h)
-    return np.array([east, north, up])
+    return toward(*horizontal(latitude, declination, hour * np.pi / 12))
 
 
 def aimed(mount: Mount, sun: Array, spot: Array, known: Array) -> Array | None:
@@ -100,7 +98,7 @@ def aimed(mount: Mount, sun: Array, spot: Array, known: Array) -> Array | None:
 
     def miss(reading: Array) -> Array:
         normal, centre = axes.pointing(mount, reading[None] * unit, {})
-        beam = 2 * normal[0] * (normal[0] @ sun) - sun
+        beam = axes.reflected(normal[0], sun)
         toward_spot = spot - centre[0]
         out = np.asarray(1e3 * (beam - toward_spot / np.linalg.norm(toward_spot)))
         return np.where(np.isfinite(out), out, 1e3)
@@ -118,30 +116,16 @@ def _further(problem: Problem, predict: Predict, sigma: float, what: str, record
     order = {t: k for t, k in zip(predict.records.target, predict.target_number, strict=True)}
     number = np.array([order.get(t, 0) for t in records.target], np.intp)
     own = replace(predict, records=records, target_number=number, drift=np.zeros((n, 0)))
-    stub = replace(
-        problem,
-        data=np.zeros(2 * n),
-        block=np.repeat(np.arange(n), 2),
-        kind=np.tile(np.array(["across", "up"]), n),
-        position=np.zeros(2 * n),
-        stretch=np.full(2 * n, -1),
-        covariance=tuple(np.eye(2) * sigma**2 for _ in range(n)),
-        names=records.names,
-        groups=records.names,
-        predict=own,
-        attachments=(),
-        further=None,
-    )
-    nuisances = [p for p in problem.nuisances if not p.name.startswith("drift.")]
+    stub = problem_of(own, problem.catalogue, sigma)
     many = [p for e in _steady(problem.catalogue) for p in amplitudes(e)]
-    slopes = linear.columns(stub, {}, (*nuisances, *many))
+    slopes = linear.columns(stub, {}, (*stub.nuisances, *many))
     return Further(
         kind="recording",
         what=what,
         covariance=np.eye(2 * n) * sigma**2,
-        nuisance={p.name: slopes[:, k] for k, p in enumerate(nuisances)},
+        nuisance={p.name: slopes[:, k] for k, p in enumerate(stub.nuisances)},
         priors={},
-        effect={p.name: slopes[:, len(nuisances) + k] for k, p in enumerate(many)},
+        effect={p.name: slopes[:, len(stub.nuisances) + k] for k, p in enumerate(many)},
     )
 
 

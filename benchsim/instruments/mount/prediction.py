@@ -97,7 +97,7 @@ class Predict:
             shift = np.stack(np.broadcast_arrays(*moved), axis=-1)
             seen = spot - centre - shift
             seen /= np.linalg.norm(seen, axis=1, keepdims=True)
-            beam = 2 * normal * (normal * source).sum(axis=1, keepdims=True) - source
+            beam = axes.reflected(normal, source)
             recorded = records.spot[i] - mount.position
             out = _apart(beam, seen, recorded / np.linalg.norm(recorded, axis=1, keepdims=True))
         out = out / UNITS[mount.unit]

@@ -15,19 +15,14 @@ import numpy as np
 from benchsim.bench.errors import BenchsimError
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import amplitudes
-from benchsim.diagnosis.problem import Effect, Parameter, Problem
+from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.instruments.mount import effects
 from benchsim.instruments.mount.attachments import attachments
 from benchsim.instruments.mount.further import Next
 from benchsim.instruments.mount.outlying import MOST, Outlying, outlying
+from benchsim.instruments.mount.posing import nuisances, problem_of
 from benchsim.instruments.mount.prediction import LOST, Predict
 from benchsim.instruments.mount.records import UNITS, Array, Mount, Records, Session, angles
-
-ZERO_SIGMA = 600.0
-"""Of a telescope's encoder zeros about their robust estimates [arcsec]."""
-
-SURVEY_SIGMA = 20.0
-"""Of a heliostat's surveyed position [mm]."""
 
 FEWEST = 3
 """Records below which nothing is fitted."""
@@ -188,7 +183,7 @@ def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attache
 
 
 def _fewer(effect: Effect, count: int) -> Effect:
-    grid = tuple(k + 0.5 for k in range(2, count - 3))
+    grid = effects.changes(count)
     return replace(effect, parameters=tuple(replace(p, grid=grid) if p.grid else p for p in effect.parameters))
 
 
@@ -222,18 +217,6 @@ def _never(mount: Mount) -> tuple[Effect, ...]:
     return (Effect("encoder-offset", "mount", nuisances(mount)),)
 
 
-def nuisances(mount: Mount) -> tuple[Parameter, ...]:
-    """What may differ from the file without being an effect."""
-    if mount.observes == "sky":
-        return tuple(Parameter(n, mount.unit, ZERO_SIGMA) for n in ("IA", "IE"))
-    return tuple(Parameter(f"survey_{k}", "mm", SURVEY_SIGMA) for k in "enu")
-
-
-def _drift(predict: Predict) -> tuple[Parameter, ...]:
-    names = [f"drift.{which}_{k + 1}" for k in range(predict.drift.shape[1]) for which in ("across", "up")]
-    return tuple(Parameter(n, "1", 1.0, scaled=True) for n in names)
-
-
 def drift(mount: Mount, count: int) -> Array:
     """The leading modes of a Gaussian process of unit rms over the number of the record, (n, m)."""
     if mount.observes != "sky" or count < FEWEST_TO_DRIFT:
@@ -242,25 +225,6 @@ def drift(mount: Mount, count: int) -> Array:
     values, vectors = np.linalg.eigh(np.exp(-0.5 * ((k[:, None] - k) / DRIFT_LENGTH) ** 2))
     lead = slice(None, -1 - DRIFT_MODES, -1)
     return np.asarray(vectors[:, lead] * np.sqrt(np.maximum(values[lead], 0.0)))
-
-
-def problem_of(predict: Predict, catalogue: Sequence[Effect], sigma: float) -> Problem:
-    """The problem of a prediction, every record with the same errors, no attachments."""
-    records = predict.records
-    n = len(records.names)
-    return Problem(
-        data=np.zeros(2 * n),
-        block=np.repeat(np.arange(n), 2),
-        kind=np.tile(np.array(["across", "up"]), n),
-        position=np.repeat(np.arange(n, dtype=float), 2),
-        stretch=np.full(2 * n, -1),
-        covariance=tuple(np.eye(2) * sigma**2 for _ in range(n)),
-        names=records.names,
-        groups=records.names,
-        nuisances=(*nuisances(predict.mount), *_drift(predict)),
-        catalogue=tuple(catalogue),
-        predict=predict,
-    )
 
 
 def zeros(mount: Mount, records: Records) -> Array:
