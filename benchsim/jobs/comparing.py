@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, gaussian_filter, maximum_filter
+from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
 from benchsim.instruments.bench.observed import Observed
+from benchsim.instruments.bench.pixels import WIDTHS, Pixels, about_trace
 from benchsim.instruments.bench.probable import State
 from benchsim.jobs.progress import Progress, silent
-from benchsim.rays import project
-from benchsim.trace.band import Band, band_along, smooth_curve
-from benchsim.trace.extract import read_photographs
-from benchsim.trace.speckle import Grain, Whitener, measure_grain, whitener
+from benchsim.trace.speckle import Whitener
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Image = NDArray[np.floating]
-
-WIDTHS = 3.0
-"""Pixels within so many rms widths of the trace are compared."""
-
-FLANK = 8.0
-"""Pixels beyond on either side that tell the background [px]."""
 
 BLURS = (0.2, 3.0)
 """Range of the lens's blur [px]."""
@@ -42,6 +35,22 @@ RAYS = 1 << 25
 """Of a render, 2 s of CPU. A bin of 0.25 mm is then good to some 0.005, a pixel that sees sixteen to 0.002, where a
 photograph has 0.005 or more. A fixed number, since what adds dimensions to the light (shaking, facets that differ)
 makes a wanted error cost minutes."""
+
+
+@dataclass(frozen=True)
+class Render:
+    """What is laid on a photograph.
+
+    Attributes
+    ----------
+    laser : (rows, columns)
+        Laser light of a state's render, any scale, without blur.
+    arrived : callable
+        From that light, blurred by the lens, to where its charge is read: what bright pixels do on the sensor.
+    """
+
+    laser: Image
+    arrived: Callable[[Image], Image] = lambda light: light
 
 
 @dataclass(frozen=True)
@@ -153,13 +162,15 @@ def compare(
         If no exposure can be compared.
     """
     from benchsim.render.again import expected
+    from benchsim.render.charge import arrived
 
-    def show(s: State, exposure: Exposure) -> tuple[Image, Image]:
+    def show(s: State, exposure: Exposure) -> tuple[Render, Image]:
         picture = expected(
             s.recording, exposure, s.camera, s.rotation, s.translation, s.errors,
             shape=s.shape, seed=seed, rays=rays,
         )  # fmt: skip
-        return picture.laser, picture.room
+        on_sensor = partial(arrived, effects=s.recording.effects, fields=s.recording.fields)
+        return Render(picture.laser, on_sensor), picture.room
 
     unknown = {name for name, camera in recording.cameras.items() if camera.gamma == "unknown"}
     if unknown and all(recording.exposures[o.index].camera in unknown for o in observed):
@@ -203,28 +214,8 @@ def draw(comparison: Comparison, path: Path, title: str) -> list[Path]:
     return strips(path, shown, title)
 
 
-@dataclass(frozen=True)
-class _View:
-    """Pixels of the band in the order of the trace (p,), and their noise."""
-
-    band: Band
-    u: NDArray[np.intp]
-    v: NDArray[np.intp]
-    t: Array
-    n: Array
-    light: Array
-    background: Array | None
-    grain: Grain
-    inner: Mask
-    half: float
-
-    def white(self, within: float) -> Whitener:
-        """Of the pixels within so many widths."""
-        return whitener(self.u, self.v, self.t, self.grain, np.abs(self.n) <= self.half * within / WIDTHS)
-
-
 def compare_exposure(
-    recording: Recording, observed: Observed, before: Image, after: Image, free: Mask
+    recording: Recording, observed: Observed, before: Render, after: Render, free: Mask
 ) -> ExposureComparison:
     """Hold two renders of one exposure against its photograph.
 
@@ -233,8 +224,7 @@ def compare_exposure(
     recording : Recording
     observed : Observed
         Where the trace is in the picture; not what is expected there.
-    before, after : (rows, columns)
-        Laser light of each state's render, any scale, without blur.
+    before, after : Render
     free : (rows, columns) bool
         Pixels that see free board; those within four pixels of others are left out.
 
@@ -244,7 +234,7 @@ def compare_exposure(
         If too few pixels are free.
     """
     exposure = recording.exposures[observed.index]
-    view = _view(recording, exposure, observed, free)
+    view = about_trace(recording, exposure, observed, free)
     whole, core = view.white(WIDTHS), view.white(1.0)
     own = whole(view.grain.residual / np.sqrt(1 - view.grain.leverage))
     second, background = _fit(view, after, whole, core)
@@ -263,66 +253,22 @@ def compare_exposure(
     )
 
 
-def _view(recording: Recording, exposure: Exposure, observed: Observed, free: Mask) -> _View:
-    photograph, dark = read_photographs(recording, exposure)
-    if not photograph.linear or not len(observed.width2):
-        raise BenchsimError("its gamma is unknown, so that light cannot be compared")
-    light = photograph.light.astype(float)
-    pedestal = np.zeros_like(light)
-    if dark is not None:
-        light = light - dark.light
-        pedestal = 2 * gaussian_filter(np.maximum(dark.light, 0).astype(float), 3.0)
-    seen = observed.view
-    on_board = np.column_stack([np.zeros(len(observed.points)), observed.points])
-    uv = project(seen.camera, seen.rotation, seen.translation, on_board)
-    t = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(uv, axis=0), axis=1))])
-    span = (0.0, float(t[-1]))
-    curve = smooth_curve(t, uv, np.ones(len(t)), span)
-    half = WIDTHS * float(np.median(np.sqrt(observed.width2) / observed.mm_per_px))
-    band = band_along(curve, span, half + FLANK, light.shape)
-    if band is None:
-        raise BenchsimError("its trace lies outside of the picture; mend the camera")
-    good = binary_erosion(free, np.ones((9, 9), bool), border_value=0)
-    good &= ~maximum_filter(photograph.saturated, 3)
-    use = band.inside & band.take(good)
-    row = np.nonzero(use)[0]
-    u, v, n = band.u[use], band.v[use], band.n[use]
-    inner = np.abs(n) <= half
-    if inner.sum() < 500:
-        raise BenchsimError(f"only {inner.sum()} of its pixels show the trace on free board; show more of it")
-    along, value = band.t[row], light[v, u]
-    background = None
-    if dark is None:
-        terms = _background_terms(along, n, span)
-        flank = ~inner
-        background = terms @ np.linalg.lstsq(terms[flank], value[flank], rcond=None)[0]
-    grain = measure_grain(u, v, along, n, value, pedestal[v, u], np.zeros(len(u)) if background is None else background)
-    return _View(band, u, v, along, n, value, background, grain, inner, half)
-
-
-def _background_terms(t: Array, n: Array, span: tuple[float, float]) -> Array:
-    """Cubic along the trace, linear across it."""
-    along = np.polynomial.legendre.legvander(2 * (t - span[0]) / (span[1] - span[0]) - 1, 3)
-    return np.concatenate([along, along[:, :2] * (n / np.abs(n).max())[:, None]], axis=1)
-
-
-def _fit(view: _View, render: Image, whole: Whitener, core: Whitener) -> tuple[PixelFit, Array]:
+def _fit(view: Pixels, render: Render, whole: Whitener, core: Whitener) -> tuple[PixelFit, Array]:
     """Gain and background by least squares for every blur, the blur by the residuals' sum of squares."""
     low_u, low_v = max(int(view.u.min()) - 20, 0), max(int(view.v.min()) - 20, 0)
-    cut = np.asarray(render[low_v : view.v.max() + 21, low_u : view.u.max() + 21], float)
+    cut = np.asarray(render.laser[low_v : view.v.max() + 21, low_u : view.u.max() + 21], float)
     top = float(cut.max())
     if not top > 0:
         raise BenchsimError("no rendered light falls on its trace; the simulation is too far off")
     weight = 1 / np.sqrt(view.grain.variance)
     # What lies beyond the window is needed for the background alone.
     part = view.inner
-    terms = np.zeros((len(view.t), 0))
-    if view.background is not None:
+    terms = view.background_terms()
+    if terms.shape[1]:
         part = np.ones_like(part)
-        terms = _background_terms(view.t, view.n, (0.0, float(view.t.max())))
 
     def solve(blur: float) -> tuple[Array, Array]:
-        seen = gaussian_filter(cut / top, blur, truncate=6.0)[view.v - low_v, view.u - low_u]
+        seen = render.arrived(gaussian_filter(cut / top, blur, truncate=6.0))[view.v - low_v, view.u - low_u]
         design = np.column_stack([seen, terms])
         c = np.linalg.lstsq((design * weight[:, None])[part], (view.light * weight)[part], rcond=None)[0]
         return np.asarray(c), design
@@ -347,12 +293,12 @@ def _fit(view: _View, render: Image, whole: Whitener, core: Whitener) -> tuple[P
     )
 
 
-def _columns(view: _View) -> Array:
+def _columns(view: Pixels) -> Array:
     """Columns of the straightened grid [px]."""
     return np.arange(-np.floor(view.half), np.floor(view.half) + 1)
 
 
-def _straight(view: _View, values: Array) -> Array:
+def _straight(view: Pixels, values: Array) -> Array:
     """Pixels on the straightened grid: the nearest one's value, nan where there is none within `NEAR`."""
     t, n = np.meshgrid(view.band.t, _columns(view), indexing="ij")
     tree = cKDTree(np.stack([view.t, view.n], axis=1))

@@ -111,7 +111,7 @@ def expected(
     -------
     Picture
         Before the lens's blur and any exposure: its scale is that of the irradiance for a laser of power 1. Blooming
-        and the brightness field belong to the sensor and are not in it.
+        and the brightness field belong to the sensor and are not in it: `charge.arrived` puts them in after the blur.
 
     Raises
     ------

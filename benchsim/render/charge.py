@@ -110,3 +110,19 @@ def displaced(laser: Image, fields: Mapping[str, Field]) -> Image:
     v, u = np.indices(laser.shape, float)
     moved = map_coordinates(laser.astype(float), [v - dv, u - du], order=3, mode="nearest")
     return np.maximum(moved, 0).astype(np.float32)
+
+
+def arrived(laser: Image, effects: Effects, fields: Mapping[str, Field]) -> Image:
+    """Mean laser charge where it is read: moved by brightness, then spilled.
+
+    Parameters
+    ----------
+    laser : (rows, columns)
+        Any scale, blurred by the lens; a part of the picture that holds all of the trace is enough.
+    effects, fields : mapping
+        Of the recording; what is not of the sensor is passed over.
+    """
+    if "brightness" not in fields and "saturation" not in effects:
+        return laser
+    moved = displaced(laser, fields)
+    return spill(moved, carry(moved, effects), float(moved.max()))

@@ -11,6 +11,7 @@ import pytest
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read
 from benchsim.instruments.bench import observables, problem
+from benchsim.instruments.bench import pixels as about
 from benchsim.instruments.bench.probable import left_out, probable, state
 from benchsim.jobs import comparing
 from benchsim.render import recording as rendering
@@ -132,17 +133,17 @@ def test_gain_and_blur_are_those_of_the_photograph(bowed, bowed_seen, monkeypatc
     monkeypatch.setattr(comparing, "compare_exposure", keep)
     comparing.compare(bowed, observed[:1], [s], [s], rays=FEW)
     rng = np.random.default_rng(3)
-    light = 2e4 * cv2.GaussianBlur(kept["render"] / kept["render"].max(), (0, 0), 0.8)
+    light = 2e4 * cv2.GaussianBlur(kept["render"].laser / kept["render"].laser.max(), (0, 0), 0.8)
     light = rng.normal(light + 100.0, 20 + 0.03 * light)
 
     class Photograph:
         linear, saturated = True, np.zeros(light.shape, bool)
 
     Photograph.light = light
-    monkeypatch.setattr(comparing, "read_photographs", lambda *_: (Photograph, None))
+    monkeypatch.setattr(about, "read_photographs", lambda *_: (Photograph, None))
     found = compare_exposure(bowed, observed[0], kept["render"], kept["render"], kept["free"])
     assert found.after is found.before
-    assert found.after.gain * kept["render"].max() == pytest.approx(2e4, rel=0.01)
+    assert found.after.gain * kept["render"].laser.max() == pytest.approx(2e4, rel=0.01)
     assert found.after.blur == pytest.approx(0.8, abs=0.02)
     assert found.after.z_std == pytest.approx(1, abs=4 / math.sqrt(2 * found.pixels) + 0.02)
 
