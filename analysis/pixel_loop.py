@@ -32,7 +32,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,9 +42,13 @@ from benchsim import diagnosis
 from benchsim.bench.files import read
 from benchsim.bench.model import Recording
 from benchsim.instruments.bench import observables, problem
-from benchsim.instruments.bench.prediction import Predict
+from benchsim.instruments.bench.asymmetry import measure, pixels_of, settled
+from benchsim.instruments.bench.prediction import Predict, errors
 from benchsim.instruments.bench.probable import left_out, probable, state
 from benchsim.jobs import comparing
+from benchsim.render.recording import RenderedTruth, render_recording
+
+Values = Mapping[str, float]
 
 BAR = (0.9, 1.15)
 
@@ -55,7 +59,13 @@ SPECKLE = 0.8
 """Size of their speckle [px]."""
 
 
-def loop(recording: Recording, effects: Sequence[str] | None, picture: Path | None) -> bool:
+def loop(
+    recording: Recording,
+    effects: Sequence[str] | None,
+    picture: Path | None,
+    truth: RenderedTruth | None = None,
+    plain: bool = False,
+) -> bool:
     """Close the loop for one recording, print it, and say whether the bar is met."""
     start = time.process_time()
     observed, lost = observables.observe(recording)
@@ -66,8 +76,12 @@ def loop(recording: Recording, effects: Sequence[str] | None, picture: Path | No
         effects = [f.name for f in diagnosis.diagnose(built).effects]
     own = [p for e in built.catalogue if e.name in effects for p in e.parameters if not p.grid]
     blocks = range(len(built.names))
-    after = left_out(built, effects, probable(built, [*built.nuisances, *own], {}))
-    before = left_out(built, (), probable(built, built.nuisances, {})) if effects else after
+    unread = left_out(built, effects, probable(built, [*built.nuisances, *own], {}))
+    after = unread if plain else settled(built, recording, unread)
+    before = after
+    if effects:
+        before = left_out(built, (), probable(built, built.nuisances, {}))
+        before = before if plain else settled(built, recording, before)
     new = [state(predict, b, after[b]) for b in blocks]
     old = [state(predict, b, before[b]) for b in blocks] if effects else new
     fitted = time.process_time()
@@ -91,9 +105,39 @@ def loop(recording: Recording, effects: Sequence[str] | None, picture: Path | No
         f"together: {first:.3f} (core {found.pooled('before', core=True):.3f}) before, {last:.3f} "
         f"(core {found.pooled('after', core=True):.3f}) after; bar {BAR[0]} … {BAR[1]}: {'met' if met else 'NOT met'}"
     )
+    if not plain:
+        readings(recording, predict, unread, after, truth)
     if picture is not None:
         comparing.draw(found, picture, f"{recording.path.parent.name}: every setting from the others")
     return met
+
+
+def readings(
+    recording: Recording,
+    predict: Predict,
+    unread: Sequence[Values],
+    after: Sequence[Values],
+    truth: RenderedTruth | None,
+) -> None:
+    """Print what the pixels say of the mirror's place along its axis; against the truth where there is one."""
+    print("exposure   read about the other data's fit, and about the one with it [mm]", end="")
+    print(" | error without   with [mm]   pull of the reading" if truth else "")
+    for b, block in enumerate(predict.blocks):
+        pixels = pixels_of(recording, block.observed)
+        first, last = (measure(predict, b, v[b], pixels) if pixels else None for v in (unread, after))
+        if first is None or last is None:
+            continue
+        line = (
+            f"{block.observed.name:<10} {first.value:+.2f} ± {first.sigma:.2f}   {last.value:+.2f} ± {last.sigma:.2f}"
+        )
+        if truth is not None:
+            i = block.observed.index
+            off = [
+                errors(v[b], block.setting).mirror_position - truth.errors[i].mirror_position for v in (unread, after)
+            ]
+            without, with_it = (float(x @ truth.placements[i].axis) for x in off)
+            line += f" | {without:+.2f}   {with_it:+.2f}   {(last.value + with_it) / last.sigma:+.2f}"
+        print(line)
 
 
 def tails(x: comparing.ExposureComparison, side: int) -> float:
@@ -102,11 +146,9 @@ def tails(x: comparing.ExposureComparison, side: int) -> float:
     return float(x.photograph[far].sum() / x.after.model[far].sum())
 
 
-def render(kind: str, seed: int, folder: str) -> Recording:
+def render(kind: str, seed: int, folder: str) -> tuple[Recording, RenderedTruth]:
     """A fresh recording of six settings, with a bow or clean; cameras of half the resolution."""
     import study_cases
-
-    from benchsim.render.recording import render_recording
 
     rng = np.random.default_rng(seed)
     bench = study_cases.bench("six", rng, 2)
@@ -115,7 +157,8 @@ def render(kind: str, seed: int, folder: str) -> Recording:
         y, z = (float(b) for b in BOW * rng.standard_normal(2))
         bench = replace(bench, effects={"screen-bow": {"bow_y": y, "bow_z": z}})
         print(f"bow_y {y:+.3g}, bow_z {z:+.3g} 1/m")
-    return replace(render_recording(bench, folder, seed=seed).recording, effects={})
+    truth = render_recording(bench, folder, seed=seed)
+    return replace(truth.recording, effects={}), truth
 
 
 def main() -> int:
@@ -125,17 +168,18 @@ def main() -> int:
     parser.add_argument("--effects", nargs="*", help="default: what the diagnosis finds")
     parser.add_argument("--own", nargs="+", choices=["bow", "clean"], default=[])
     parser.add_argument("--seed", type=int, default=31)
+    parser.add_argument("--plain", action="store_true", help="settings without the reading of the light's asymmetry")
     parser.add_argument("--picture", type=Path, help="PNG to write; of the last recording")
     args = parser.parse_args()
     met = []
     if args.recording is not None:
         print(args.recording.name)
-        met.append(loop(read(args.recording, images=True), args.effects, args.picture))
+        met.append(loop(read(args.recording, images=True), args.effects, args.picture, plain=args.plain))
     for k, kind in enumerate(args.own):
         print(f"\n{kind}, seed {args.seed + k}")
         with tempfile.TemporaryDirectory() as folder:
-            made = render(kind, args.seed + k, folder)
-            met.append(loop(made, ["screen-bow"] if kind == "bow" else [], args.picture))
+            made, truth = render(kind, args.seed + k, folder)
+            met.append(loop(made, ["screen-bow"] if kind == "bow" else [], args.picture, truth, args.plain))
     return 0 if all(met) else 1
 
 

@@ -259,9 +259,11 @@ def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progres
 def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = silent) -> tuple[str, ...]:
     """Render every exposure again without and with what was found, and draw photograph less render.
 
-    With it the most probable settings are the diagnosis' own, without it those of the null. Writes ``pixels.png`` and
+    With it the most probable settings are the diagnosis' own, without it those of the null; both as the unevenness of
+    the light across the traces has them too. A law's field is rendered like any effect. Writes ``pixels.png`` and
     ``pixels.json``; returns a sentence for every exposure that could not be compared.
     """
+    from benchsim.instruments.bench.asymmetry import settled
     from benchsim.instruments.bench.probable import probable, state
     from benchsim.jobs import comparing
     from benchsim.render import backend
@@ -273,17 +275,19 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
     of_effects = {p.name for e in problem.catalogue for p in e.parameters}
     values = dict(d.values)
     bare = {k: v for k, v in values.items() if k not in of_effects}
-    amended = predict
+    amended, lawful = predict, problem
     if d.law is not None:
         amended = replace(predict, recording=replace(predict.recording, fields=result.amended.fields), cache={})
         lawful = replace(problem, predict=amended)
         values = probable(lawful, problem.nuisances, values, setting_scale=d.setting_scale)
     blocks = range(len(problem.names))
-    after = [state(amended, b, values) for b in blocks]
+    each = settled(lawful, result.recording, [values for _ in blocks], d.setting_scale)
+    after = [state(amended, b, each[b]) for b in blocks]
     before = after
     if d.law is not None or values.keys() & of_effects:
         null = probable(problem, problem.nuisances, bare, setting_scale=d.setting_scale)
-        before = [state(predict, b, null) for b in blocks]
+        each = settled(problem, result.recording, [null for _ in blocks], d.setting_scale)
+        before = [state(predict, b, each[b]) for b in blocks]
     backend.use(None)
     compared = comparing.compare(
         result.recording,

@@ -8,10 +8,12 @@ moment a millimetre moves some 0.003, of the light at three widths some percent.
 What is read is therefore the amplitude of a template, by least squares weighted with the pixels' own noise: with p(v)
 the profiles that the ray model predicts at values v, blurred like the picture,
 
-    light = gain · (p(v₀) + a T) + [flux, place and width along the trace, background],
+    light = gain · (p(v₀) + a T₋) + [flux, place, width along the trace, blur, T₊, background],
 
-T = ∂p/∂(mirror along its axis). The one number a [mm] is linear in the light over the gain, and is predicted at other v
-by the same functional of p(v), so that all else that makes a line uneven (a beam beside its axis, coma) counts as well.
+T = T₊ + T₋ = ∂p/∂(mirror along its axis) at constant flux, of which only the uneven T₋ is believed: what is even
+(the level of both tails) a lens, a pixel and a beam's profile change as well. The one number a [mm] is linear in the
+light over the gain, and is predicted at other v by the same functional of p(v), so that all else that makes a line
+uneven (a beam beside its axis, coma) counts as well.
 """
 
 from __future__ import annotations
@@ -84,8 +86,8 @@ class Seen:
     q: Array
     blur: Array
 
-    def light(self, bench: Stands, slope: bool = False) -> Array:
-        """Predicted light of the pixels, or its derivative by q [1/mm], (p,); any scale.
+    def light(self, bench: Stands, order: int = 0) -> Array:
+        """Predicted light of the pixels, or its derivative of an order by q [1/mm^order], (p,); any scale.
 
         Raises
         ------
@@ -104,8 +106,8 @@ class Seen:
         blur = np.interp(rows, there[::hand], np.interp(here, *self.blur.T)[::hand])
         k = 2 * np.pi * np.fft.rfftfreq(len(q), ACROSS)
         seen = np.fft.rfft(CubicSpline(length, table)(rows), axis=1) * np.exp(-0.5 * (blur[:, None] * k) ** 2)
-        if slope:
-            seen = seen * (hand * 1j * k)
+        if order:
+            seen = seen * (hand * 1j * k) ** order
         at = np.clip(np.interp(self.s, here, there) / length[-1], 0, 1) * (ROWS - 1)
         where = np.stack([at, hand * self.q / ACROSS + count])
         picture = np.fft.irfft(seen, len(q), axis=1)
@@ -174,11 +176,18 @@ def measure(predict: Predict, block: int, values: Values, pixels: Pixels) -> Asy
         return None
     seen = _seen(b.observed, pixels, 1 + values.get(f"{b.camera}.blur", 0.0))
     try:
-        light, slope = seen.light(bench), seen.light(bench, slope=True)
-        low, high = (seen.light(bench.along_axis(by)) for by in (-STEP, STEP))
+        light, slope, bend = (seen.light(bench, order) for order in range(3))
+        other = replace(seen, q=-seen.q)
+        here, there = (
+            (side.light(bench.along_axis(STEP)) - side.light(bench.along_axis(-STEP))) / (2 * STEP)
+            for side in (seen, other)
+        )
+        brighter = float(light @ here) / float(light @ light)
+        here, there = here - brighter * light, there - brighter * other.light(bench)
     except BenchsimError:
         return None
-    return _fitted(pixels, seen, light, slope, (high - low) / (2 * STEP))
+    even, uneven = (here + there) / 2, (here - there) / 2
+    return _fitted(pixels, seen, (light, slope, bend, even), uneven)
 
 
 def pixels_of(recording: Recording, observed: Observed) -> Pixels | None:
@@ -212,16 +221,18 @@ def _seen(o: Observed, pixels: Pixels, scale: float) -> Seen:
     return Seen(path, s, distance, blur)
 
 
-def _fitted(pixels: Pixels, seen: Seen, light: Array, slope: Array, template: Array) -> Asymmetry:
-    """Weighted least squares of the module's head."""
+def _fitted(pixels: Pixels, seen: Seen, parts: tuple[Array, Array, Array, Array], uneven: Array) -> Asymmetry:
+    """Weighted least squares of the module's head; ``parts`` are p, its derivatives by q, and T₊."""
+    light, slope, bend, even = (p[:, None] for p in parts)
     # Beyond three widths too: that light has the least noise for its unevenness, with a dark picture and without.
     ground = pixels.background_terms(always=True)
     x = 2 * (seen.s - seen.s.min()) / np.ptp(seen.s) - 1
     along = np.polynomial.legendre.legvander(x, PLACE_ORDER)
     few = along[:, : FLUX_ORDER + 1]
-    wider = (light + seen.q * slope)[:, None] * few
+    wider = (light + seen.q[:, None] * slope) * few
     # The gain comes first, the mirror last.
-    design = np.concatenate([light[:, None] * few, slope[:, None] * along, wider, ground, template[:, None]], axis=1)
+    columns = (light * few, slope * along, wider, bend, even, ground, uneven[:, None])
+    design = np.concatenate(columns, axis=1)
     weight = 1 / pixels.grain.variance
     scaled = design / np.sqrt(weight @ design**2)
     weighted = scaled * weight[:, None]
@@ -254,6 +265,9 @@ class Predictions:
     bare: Predict
     asymmetries: Mapping[int, Asymmetry]
     known: dict[Any, float] = field(default_factory=dict, compare=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "known": {}}
 
     @overload
     def __call__(self, values: Values, block: int) -> Array: ...

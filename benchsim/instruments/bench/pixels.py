@@ -87,11 +87,13 @@ def about_trace(recording: Recording, exposure: Exposure, observed: Observed, fr
     Raises
     ------
     BenchsimError
-        If its light is not linear, or too few pixels are free.
+        If its light is not linear, its width unknown, or too few pixels are free.
     """
     photograph, dark = read_photographs(recording, exposure)
-    if not photograph.linear or not len(observed.width2):
+    if not photograph.linear:
         raise BenchsimError("its gamma is unknown, so that light cannot be compared")
+    if not len(observed.width2):
+        raise BenchsimError("its width was not measured, so that it is not known which pixels are the trace's")
     light = photograph.light.astype(float)
     pedestal = np.zeros_like(light)
     if dark is not None:
