@@ -26,12 +26,16 @@ class Curve:
         Light per mm of the curve, in units that are the same along one curve.
     phase : (n,) rad, or None
         Phase of the mirror at which the light arrives.
+    parting : (n,) mm², or None
+        What lines of their own that facets draw, and shaking, add to the mean square of the light's offset across the
+        curve; None: nothing.
     """
 
     points: Array
     width: Array | None = None
     flux: Array | None = None
     phase: Array | None = None
+    parting: Array | None = None
 
     def arc_length(self) -> Array:
         """Arc length from the first point (mm), of the chord polygon."""

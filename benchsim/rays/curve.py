@@ -71,8 +71,9 @@ def trace_curve(
 def trace(bench: Bench, samples: int = 96, *, width: bool = True) -> Curve:
     """Time-averaged trace of a bench with whatever effects its parts have; see `trace_curve`.
 
-    Where facets lean differently and the exposure is not gated, ``points`` is the mean of the light of all facets and
-    ``width`` that of all their profiles together. ``width`` false leaves it out (None), which saves half the time.
+    Where facets lean differently and the exposure is not gated, ``points`` is the mean of the light of all facets,
+    ``width`` that of all their profiles together, and ``parting`` how far they lie apart. ``width`` false leaves it out
+    (None), which saves half the time.
     """
     check(bench)
     phase = sample_phases(bench, samples)
@@ -83,19 +84,21 @@ def trace(bench: Bench, samples: int = 96, *, width: bool = True) -> Curve:
         if found.resolved:
             return found.curve()
     points, _, nodes = beam_profiles(bench, phase)
-    return Curve(points, widths(bench, nodes) if width else None, nodes.flux, nodes.mean(nodes.phase))
+    wide = widths(bench, nodes) if width else None
+    return Curve(points, wide, nodes.flux, nodes.mean(nodes.phase), nodes.parting(bench.parts.timing.shake))
 
 
 def _ray_curve(bench: Bench, phase: Array, *, width: bool = True) -> Curve:
     points = axis_points(bench, phase)
-    spread = np.full(len(phase), bench.parts.timing.shake)
+    shake = bench.parts.timing.shake
     tangent = tangents(points)
     nodes = mixed(bench, cuts(bench, points, tangent, phase[:, None, None], 1, 1, kicks=False), points, tangent, 1)
     if nodes.shift is not None and nodes.share is not None:
         centre = (nodes.share * nodes.shift).sum(axis=1)
         points = points + centre[:, None] * left_of(tangent)
-        spread = np.hypot(spread, np.sqrt((nodes.share * (nodes.shift - centre[:, None]) ** 2).sum(axis=1)))
-    return Curve(points, spread if width else None, nodes.flux, phase)
+    parting = nodes.parting(shake)
+    spread = np.zeros(len(phase)) if parting is None else np.sqrt(parting)
+    return Curve(points, spread if width else None, nodes.flux, phase, parting)
 
 
 def traces(benches: Sequence[Bench], samples: int = 96, *, width: bool = True) -> list[Curve | None]:

@@ -170,7 +170,7 @@ def _mixture(bench: Bench, samples: int, *, width: bool) -> Curve:
     normal = left_of(tangents(base.points))
     offset, wide = np.zeros(len(s0)), np.zeros(len(s0))
     relative, level = np.zeros(len(s0)), 0.0
-    phase = np.zeros(len(s0))
+    phase, parting = np.zeros(len(s0)), np.zeros(len(s0))
     for choice in product((False, True), repeat=len(amounts)):
         share = float(np.prod([a if on else 1 - a for a, on in zip(amounts.values(), choice, strict=True)]))
         if share == 0:
@@ -185,11 +185,13 @@ def _mixture(bench: Bench, samples: int, *, width: bool) -> Curve:
         relative += share * flux / curve.flux.mean()
         level += share * float(curve.flux.mean())
         phase += share * (CubicSpline(at, curve.phase)(s) if curve is not base else curve.phase)
+        if curve.parting is not None:
+            parting += share * np.interp(s, at, curve.parting)
         if curve.width is not None:
             wide += share * np.interp(s, at, curve.width) ** 2
     # Of a mixture of lights it is the second moment that mixes; shares beyond 0 … 1 can make it negative.
     spread = np.sqrt(np.maximum(wide, 0.0)) if width else None
-    return Curve(base.points + offset[:, None] * normal, spread, relative * level, phase)
+    return Curve(base.points + offset[:, None] * normal, spread, relative * level, phase, parting)
 
 
 def _corner(bench: Bench, physics: Physics, samples: int, *, width: bool) -> Curve:

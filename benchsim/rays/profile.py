@@ -38,6 +38,13 @@ class Profiles(NamedTuple):
         """Flux-weighted mean over the nodes of a profile, (profile,)."""
         return np.asarray((self.weight * values).sum(axis=(-2, -1)) / self.flux)
 
+    def parting(self, shake: Array | float = 0.0) -> Array | None:
+        """Mean square of the facets' shifts about their mean, and of shaking [mm]: (profile,) [mm²]; None if 0."""
+        if self.shift is None or self.share is None:
+            return np.broadcast_to(np.square(shake), self.q.shape[:-2]) if np.any(shake) else None
+        mean = (self.share * self.shift).sum(axis=-1, keepdims=True)
+        return np.asarray((self.share * (self.shift - mean) ** 2).sum(axis=-1) + np.square(shake))
+
     def only(self, which: NDArray[np.generic] | slice) -> Profiles:
         """The profiles of an index."""
         q, weight, phase, lateral, chirp = (a[which] for a in self[:5])

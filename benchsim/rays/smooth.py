@@ -61,11 +61,13 @@ class Smooth:
     flux: Array
     phase: Array
     resolved: NDArray[np.bool_]
+    parting: Array | None = None
 
     def curve(self, which: Any = ...) -> Curve:
         """One of them."""
         width = None if self.width is None else self.width[which]
-        return Curve(self.points[which], width, self.flux[which], self.phase[which])
+        parting = None if self.parting is None else self.parting[which]
+        return Curve(self.points[which], width, self.flux[which], self.phase[which], parting)
 
 
 def rules(bench: Bench) -> tuple[Rule, ...]:
@@ -134,7 +136,12 @@ def _curves(bench: Bench, phase: Array, rule: Rule, width: bool) -> Smooth:
     resolved &= tail < TAIL
     found = carry @ sought
     wide = _widths(bench, raw, fine, centre, carry, need, resolved) if width else None
-    return Smooth(found[..., :2], wide, np.exp(found[..., 2]), found[..., 3], resolved)
+    shake = bench.parts.timing.shake
+    # Of several benches it is (bench, 1, 1, 1).
+    parting = fine.parting(np.reshape(shake, (-1, 1)) if np.ndim(shake) else shake)
+    if parting is not None:
+        parting = (carry @ parting[..., None])[..., 0]
+    return Smooth(found[..., :2], wide, np.exp(found[..., 2]), found[..., 3], resolved, parting)
 
 
 def _widths(

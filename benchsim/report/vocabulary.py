@@ -46,6 +46,7 @@ BENCH = Vocabulary(
         "c": ("centre line", "mm"),
         "w": ("width squared", "mm²"),
         "f": ("logarithm of the flux", ""),
+        "g": ("parting of the lines", "mm²"),
         "m": ("marks", "px"),
     },
     one="exposure",

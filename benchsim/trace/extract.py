@@ -129,9 +129,7 @@ def measure(
     BenchsimError
         No trace, or too little of it.
     """
-    if dark is not None and pose.motion is not None:
-        dark = taken_back(dark, pose.motion)
-    picture = _picture(photograph, dark, _blocked(photograph, pose, screen, blur))
+    picture = picture_on(photograph, dark, pose, screen, blur)
     lines, dropped_status, dropped_px = _lines(photograph.name, picture, ridges)
     parts = [_on_board(line, pose) for line in lines]
     columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0] if key not in ("shape_mm", "noise")}
@@ -157,6 +155,13 @@ def measure(
         pose=pose,
         **columns,
     )
+
+
+def picture_on(photograph: Photograph, dark: Photograph | None, pose: Pose, screen: Screen, blur: float) -> Picture:
+    """The laser's light on the board, with what is in its way; parameters as of `measure`."""
+    if dark is not None and pose.motion is not None:
+        dark = taken_back(dark, pose.motion)
+    return _picture(photograph, dark, _blocked(photograph, pose, screen, blur))
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
 """From photographs to data: centre line, width, flux and marks of every exposure, each with the noise it shows.
 
 ``c``: mean displacement of the trace across itself, in bins; ``w``: width; ``f``: logarithm of the light per mm; ``m``:
-what the marks' centres leave after the pose. The camera's pose is solved with the stated intrinsics held, so that
-whatever is wrong with them stays in the marks' residuals and is modelled (`chain`).
+what the marks' centres leave after the pose. Where facets draw lines of their own, ``c`` is the mean of all their light
+and ``g``, its mean square offset, stands in the place of ``w`` and ``f`` (`parting`). The camera's pose is solved with
+the stated intrinsics held, so that whatever is wrong with them stays in the marks' residuals and is modelled (`chain`).
 
 Noise is taken from the data alone. Centre line: scatter and correlation of neighbouring profiles, the common errors of
 line shape and pose (`trace.covariance`). Width and flux: scatter and correlation of neighbouring profiles about a
@@ -39,10 +40,12 @@ from benchsim.instruments.bench.observed import (
     nominal,
     smooth_floor,
 )
+from benchsim.instruments.bench.parting import Parted, parted
 from benchsim.instruments.bench.simulation import simulate
 from benchsim.trace.extract import measure, read_photographs
 from benchsim.trace.marks import MarkObservations, find_marks
 from benchsim.trace.noise import centre_noise, spline_basis
+from benchsim.trace.parting import light_across
 from benchsim.trace.pose import Pose, join, solve_pose
 
 __all__ = ["Observed", "observe", "observe_one", "reduce", "simulate"]
@@ -120,8 +123,34 @@ def observe_one(recording: Recording, index: int) -> Observed:
     if dark is not None:
         marks = join(marks, find_marks(dark, recording.screen.marks, camera))
     pose = solve_pose(camera, marks)
-    measured = measure(photograph, dark, pose, recording.screen, float(np.median(marks.blur)))
-    return reduce(recording, index, marks, pose, measured)
+    blur = float(np.median(marks.blur))
+    measured = measure(photograph, dark, pose, recording.screen, blur)
+    seen = reduce(recording, index, marks, pose, measured)
+    if not measured.linear:
+        return seen
+    line = trace.only_ridge(measured)
+    line = replace(line, pose_mm=line.pose_mm * _rescaled(_centres(marks, pose), pose))
+    across = light_across(photograph, dark, pose, recording.screen, blur, line)
+    found = parted(recording, exposure, across, pose, blur, line)
+    return seen if found is None else _of_all_facets(seen, found)
+
+
+def _of_all_facets(seen: Observed, found: Parted) -> Observed:
+    """Data of an exposure whose lines part: the mean of all light and its parting for one ridge's shape."""
+    note = (
+        f"{seen.name}: the facets draw lines of their own, {np.sqrt(np.median(found.parting)):.1f} mm rms apart; their "
+        "mean and their parting are used, width and flux are not"
+    )
+    return replace(
+        seen,
+        points=found.points,
+        s=found.s,
+        covariance=found.covariance,
+        parting=found.parting,
+        parting_covariance=found.parting_covariance,
+        notes=(*seen.notes, note),
+        **no_shape(),
+    )
 
 
 def reduce(recording: Recording, index: int, marks: MarkObservations, pose: Pose, measured: trace.Trace) -> Observed:
@@ -129,8 +158,7 @@ def reduce(recording: Recording, index: int, marks: MarkObservations, pose: Pose
     line = trace.only_ridge(measured)
     centres = _centres(marks, pose)
     stated = rays.predict(nominal(recording), recording.exposures[index], width=False)
-    # The pose's own covariance counts a bow as noise of the marks.
-    rescaled = replace(line, pose_mm=line.pose_mm * np.sqrt(centres.scale / pose.chi2_per_dof))
+    rescaled = replace(line, pose_mm=line.pose_mm * _rescaled(centres, pose))
     binned = bin_trace(line.s_mm, trace.covariance(rescaled), bins=CENTRE_BINS)
     distance, feet = signed_distance(stated, line.points)
     points = beside(stated, binned.weights @ feet, binned.weights @ distance)
@@ -158,6 +186,11 @@ class _Centres:
     covariance: Array
     scale: float
     notes: tuple[tuple[str, str], ...]
+
+
+def _rescaled(centres: _Centres, pose: Pose) -> float:
+    """What the pose's errors are to be multiplied with: its own covariance counts a bow as noise of the marks."""
+    return float(np.sqrt(centres.scale / pose.chi2_per_dof))
 
 
 def _centres(marks: MarkObservations, pose: Pose) -> _Centres:

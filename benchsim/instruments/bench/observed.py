@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -62,6 +62,10 @@ class Observed:
     marks_covariance : (m, 2, 2) px²
     blur : float
         1 sigma of the camera's blur [px], the pixel's width included, as the marks' edges show it.
+    parting : (n,) mm²
+        Mean square offset of the light of all facets across the trace about ``points``, one line's own not included;
+        empty where no lines part. Where they do, there is neither width nor flux.
+    parting_covariance : (n, n)
     notes : tuple of str
         What was left out, in sentences.
     """
@@ -83,6 +87,8 @@ class Observed:
     marks_covariance: Array
     blur: float
     notes: tuple[str, ...] = ()
+    parting: Array = field(default_factory=lambda: np.zeros(0))
+    parting_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def nominal(recording: Recording) -> Recording:

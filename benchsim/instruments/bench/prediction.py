@@ -64,7 +64,7 @@ class Block:
     setting : 13 str
         Names of its setting errors among the nuisances, in the order of `settings.NAMES`; "": free of error.
     response : Response or None
-        None where neither width nor flux is used.
+        None where neither width nor flux is used; where lines part, their parting is in their place.
     level : (samples,)
         Peak brightness along the stated trace, 1 at the brightest measured.
     kept : (m,) bool
@@ -137,7 +137,7 @@ class Predict:
     def __call__(
         self, values: Mapping[str, float] | Sequence[Mapping[str, float]], block: int | Sequence[int]
     ) -> Array | list[Array]:
-        """Prediction (n_b,) of a block: c, w, f, m; ``FAR`` away where the light misses the board. Of lists: `many`."""
+        """Prediction (n_b,) of a block: c, w, f, g, m; ``FAR`` away where light misses the board. Of lists: `many`."""
         if isinstance(values, Mapping):
             assert not isinstance(block, Sequence)
             return self.many([values], block)[0]
@@ -251,7 +251,8 @@ class Predict:
             b = self.blocks[a.block]
             points, residual = self._seen(a.values, b, a.truth, curve.points if shift is None else curve.points + shift)
             if np.isfinite(points).all():
-                alike = len(points), len(b.observed.points), len(b.observed.profile_points), b.response is None
+                o = b.observed
+                alike = len(points), len(o.points), len(o.profile_points), len(o.parting), b.response is None
                 seen.setdefault(alike, []).append((i, Seen(a.values, b, points, residual, curve)))
         for members in seen.values():
             for first in range(0, len(members), TOGETHER):
@@ -312,6 +313,19 @@ def _data(seen: Sequence[Seen]) -> list[Array]:
     points = np.stack([s.points for s in seen])
     marks = [s.residual[s.block.kept].ravel() for s in seen]
     targets = np.stack([s.block.observed.points for s in seen])
+    if len(seen[0].block.observed.parting):
+        apart = np.stack(
+            [
+                np.zeros(len(p)) if s.curve.parting is None else s.curve.parting
+                for s, p in zip(seen, points, strict=True)
+            ]
+        )
+        distance, _, at = signed_distances(points, targets, apart[..., None])
+        assert at is not None
+        return [
+            np.concatenate([s.block.offset - d, here[:, 0], m])
+            for s, d, here, m in zip(seen, distance, at, marks, strict=True)
+        ]
     if seen[0].block.response is None:
         distance = signed_distances(points, targets)[0]
         return [np.concatenate([s.block.offset - d, m]) for s, d, m in zip(seen, distance, marks, strict=True)]
@@ -346,4 +360,4 @@ def errors(values: Mapping[str, float], setting: tuple[str, ...]) -> SettingErro
 def size(b: Block) -> int:
     """Number of data of a block."""
     shape = 0 if b.response is None else len(b.observed.width2) + len(b.observed.log_flux)
-    return len(b.observed.points) + shape + 2 * int(b.kept.sum())
+    return len(b.observed.points) + shape + len(b.observed.parting) + 2 * int(b.kept.sum())

@@ -1,6 +1,7 @@
 """The bench as the diagnosis sees it: data of a recording, what was set by hand, and what might be missing.
 
-Data of a block are, in this order, ``c`` (mm), ``w`` (mm²), ``f`` (1) and ``m`` (px). The centre line's datum is the
+Data of a block are, in this order, ``c`` (mm), ``w`` (mm²), ``f`` (1) and ``m`` (px); where the facets' lines part,
+``g`` (mm²) stands in the place of ``w`` and ``f``. The centre line's datum is the
 signed distance c₀ of a fixed point of the measured trace from the stated bench's curve; its prediction is c₀ less the
 point's distance from the predicted curve, so that they differ by exactly that distance. The logarithm of the flux is
 taken from its mean over the exposure, to which a free gain is added.
@@ -62,7 +63,7 @@ def build(
     Returns
     -------
     Problem
-        Settings in mm and mrad, effects in the file's units. Kinds ``c w f m``; groups are settings.
+        Settings in mm and mrad, effects in the file's units. Kinds ``c w f g m``; groups are settings.
 
     Raises
     ------
@@ -89,6 +90,8 @@ def build(
         if b.response is not None:
             parts.append(("w", o.width2, o.width2_covariance, o.profile_s))
             parts.append(("f", o.log_flux, o.log_flux_covariance, o.profile_s))
+        if len(o.parting):
+            parts.append(("g", o.parting, o.parting_covariance, o.s))
         parts.append(("m", o.marks[kept].ravel(), marks, np.arange(2.0 * kept.sum())))
         for line, (name, values, _, at) in enumerate(parts):
             data.append(values)

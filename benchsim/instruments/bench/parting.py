@@ -1,0 +1,229 @@
+"""Exposures whose facets draw lines of their own: the mean of all light, and how far it parts.
+
+What a ridge's centre, width and flux mean is lost where lines of several facets lie beside or half over each other.
+The light of all of them has a mean, which is what `rays.predict` predicts, and a mean square offset about it, which is
+the facets' mean square lean times the square of a lever, whatever their pattern. Both are read from the comb of lines
+that each stretch of the trace shows (`trace.parting`), the line's shape being the stated bench's.
+
+An exposure counts as parted only where no single line explains what lies across its trace: not the stated one, nor one
+of any curvature of the wavefront or shaking. A reflection beside the trace is taken for a facet's line if it holds as
+much light as one; its offset then has to follow the lever, or no facet explains it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim import rays
+from benchsim.bench.curve import signed_distance
+from benchsim.bench.model import Exposure, Physics, Recording
+from benchsim.bench.place import place
+from benchsim.instruments.bench.observed import mm_per_px, smooth_floor
+from benchsim.trace.parting import CELLS, REACH, Across, Comb, comb, one_line
+from benchsim.trace.pose import Pose
+from benchsim.trace.table import Trace
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SINGLE = 1.5
+"""χ² per bin beyond which a single line does not explain a stretch; lines of every kind of bench stay below 0.7, for
+the error that its shape is granted is generous."""
+
+BETTER = 3.0
+"""How many times better a comb must explain it."""
+
+BENT = (-8.0, -6.0, -4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
+"""Divergences beyond the stated one of single lines [mrad]; wavefront and facets may bend it by 4."""
+
+SHAKEN = (0.0, 0.5, 1.0, 2.0, 4.0)
+"""1 sigma of their shaking [mm]."""
+
+SHARE = 0.3
+"""Of one facet's light: less is no line."""
+
+FEWEST = 6
+"""Stretches on which all light is seen; with fewer the exposure stays as it is."""
+
+FLOOR = (0.03, 0.1)
+"""Smooth error of the parting: a share of it (shares and lever), and of the line's own mean square (its shape)."""
+
+MEAN_FLOOR = 0.01
+"""Smooth error of the mean, in widths of the line."""
+
+
+@dataclass(frozen=True)
+class Parted:
+    """Light of all facets of one exposure in n stretches.
+
+    ``points`` (n, 2) mm: its mean; ``s`` (n,) mm; ``covariance`` (n, n) mm² across the trace, the pose's included;
+    ``parting`` (n,) mm²: its mean square offset about the mean, one line's own not included; ``parting_covariance``.
+    """
+
+    points: Array
+    s: Array
+    covariance: Array
+    parting: Array
+    parting_covariance: Array
+
+
+def parted(
+    recording: Recording, exposure: Exposure, across: Across, pose: Pose, blur: float, line: Trace
+) -> Parted | None:
+    """The light of all facets, where it draws more than one line; None where one line explains it.
+
+    Parameters
+    ----------
+    recording, exposure
+        The stated bench.
+    across : Across
+    pose : Pose
+    blur : float
+        1 sigma of the camera's blur [px].
+    line : Trace
+        The main ridge, for the pose's share in its error.
+    """
+    if exposure.facet is not None or recording.mirror.shape != "polygon":
+        return None
+    known = np.isfinite(across.sigma)
+    usable = np.flatnonzero(known.mean(axis=1) > 0.5).tolist()
+    blurred = blur * mm_per_px(pose, across.points, across.normal)
+    q, plain = _shapes(recording, exposure, across, blurred, 0.0, (0.0,))
+    wide = np.array([(q[1] - q[0]) * (shape > 0.5 * shape.max()).sum() for shape in plain[0]])
+    reach = REACH - wide.max()
+    combs = {k: _comb(across, k, q, plain[0][k], wide[k], (-reach, reach)) for k in usable}
+    # Where the stated line does, nothing else is tried.
+    sample = [k for k in usable if _seen(across, k, 2 * wide[k])]
+    if len(sample) < FEWEST or not _beaten(across, sample, q, plain[0], combs):
+        return None
+    sample = sample[:: max(1, len(sample) // 6)]
+    for bent in BENT:
+        for single in _shapes(recording, exposure, across, blurred, 1e-3 * bent, SHAKEN)[1]:
+            if not _beaten(across, sample, q, single, combs):
+                return None
+    lever = _lever(recording, exposure, across)
+    return _measured(recording, across, q, plain[0], wide, combs, lever, line)
+
+
+def _measured(
+    recording: Recording,
+    across: Across,
+    q: Array,
+    shapes: Array,
+    wide: Array,
+    combs: dict[int, Comb],
+    lever: Array,
+    line: Trace,
+) -> Parted | None:
+    """Mean and parting of the light within the range of leans where all stretches together show lines."""
+    low, high = _leans(combs, wide, lever, SHARE / recording.mirror.facets)
+    rows, means, squares, errors = [], [], [], []
+    for k in combs:
+        reach = np.sort([low * lever[k], high * lever[k]]) + np.array([-0.5, 0.5]) * wide[k]
+        inside = (across.q[k] > reach[0] - 0.5 * wide[k]) & (across.q[k] < reach[1] + 0.5 * wide[k])
+        if not np.isfinite(across.sigma[k][inside]).all():
+            continue
+        found = _comb(across, k, q, shapes[k], wide[k], (float(reach[0]), float(reach[1])))
+        rows.append(k)
+        means.append(found.mean)
+        squares.append(found.parting)
+        errors.append(found.errors)
+    if len(rows) < FEWEST:
+        return None
+    s, error = across.s[rows], np.array(errors)
+    order = np.argsort(line.s_mm)
+    shift = np.stack([np.interp(s, line.s_mm[order], column[order]) for column in line.pose_mm.T], axis=1)
+    own = (wide[rows] / 2.355) ** 2
+    parting = np.array(squares)
+    return Parted(
+        across.points[rows] + np.array(means)[:, None] * across.normal[rows],
+        s,
+        np.diag(error[:, 0] ** 2) + smooth_floor(s, MEAN_FLOOR * wide[rows]) + shift @ shift.T,
+        parting,
+        np.diag(error[:, 1] ** 2) + smooth_floor(s, FLOOR[0] * parting + FLOOR[1] * own),
+    )
+
+
+def _leans(combs: dict[int, Comb], wide: Array, lever: Array, least: float) -> tuple[float, float]:
+    """Least and largest lean [mrad] at which most stretches show that share of the light within a line's width."""
+    step = 0.25 * float(np.median(wide / np.abs(lever)))
+    leans = step * np.arange(
+        -np.ceil(REACH / np.abs(lever).min() / step), np.ceil(REACH / np.abs(lever).min() / step) + 1
+    )
+    light = []
+    for k, found in combs.items():
+        near = np.abs(lever[k] * leans[:, None] - found.places) < 0.5 * wide[k]
+        light.append(np.where(near.any(axis=1), near @ found.shares, np.nan))
+    seen = np.isfinite(light).any(axis=0)
+    lit = leans[seen][np.nanmedian(np.array(light)[:, seen], axis=0) > least]
+    return float(lit.min()), float(lit.max())
+
+
+def _seen(across: Across, k: int, reach: float) -> bool:
+    """Whether a stretch shows all of what lies near the main ridge."""
+    return bool(np.isfinite(across.sigma[k][np.abs(across.q[k]) < reach]).all())
+
+
+def _bins(across: Across, k: int) -> tuple[Array, Array, Array]:
+    known = np.isfinite(across.sigma[k])
+    return across.q[k][known], across.light[k][known], across.error(k)[known]
+
+
+def _comb(across: Across, k: int, q: Array, shape: Array, wide: float, reach: tuple[float, float]) -> Comb:
+    """The comb of a stretch, with cells where it has pixels."""
+    step = CELLS * wide
+    cells = step * np.arange(np.ceil(reach[0] / step), np.floor(reach[1] / step) + 1)
+    dark = across.q[k][~np.isfinite(across.sigma[k])]
+    if len(dark):
+        cells = cells[np.abs(cells[:, None] - dark).min(axis=1) > 0.7 * wide]
+    return comb(*_bins(across, k), (q, shape), cells)
+
+
+def _beaten(across: Across, rows: list[int], q: Array, shapes: Array, combs: dict[int, Comb]) -> bool:
+    """Whether single lines fail on most stretches where combs do not."""
+    alone = np.array([one_line(*_bins(across, k), (q, shapes[k])) for k in rows])
+    bins = np.array([len(_bins(across, k)[0]) for k in rows])
+    together = np.array([combs[k].chi2 for k in rows])
+    return bool(np.median(alone / bins) > SINGLE and np.median(alone / together) > BETTER)
+
+
+def _shapes(
+    recording: Recording, exposure: Exposure, across: Across, blur: Array, bent: float, shaken: tuple[float, ...]
+) -> tuple[Array, list[Array]]:
+    """The stated bench's line behind the blur: places (n,) [mm], and for each shaking its light (stretch, n)."""
+    q: Array = 0.05 * np.arange(-1200.0, 1201.0)
+    p = recording.physics
+    curve, light = rays.irradiance_profiles(
+        replace(recording.laser, divergence=recording.laser.divergence + bent),
+        recording.mirror,
+        p if p.beam else Physics(True, True, True),
+        recording.screen,
+        place(recording.mirror, exposure),
+        q,
+        samples=8,
+    )
+    at = np.interp(signed_distance(curve, across.points)[1], curve.arc_length(), np.arange(len(light)))
+    first = np.minimum(at.astype(int), len(light) - 2)
+    part = (at - first)[:, None]
+    spectrum = np.fft.rfft((1 - part) * light[first] + part * light[first + 1], axis=1)
+    k = 2 * np.pi * np.fft.rfftfreq(len(q), q[1] - q[0])
+    out = []
+    for sigma in shaken:
+        blurred = np.fft.irfft(spectrum * np.exp(-0.5 * k**2 * (blur**2 + sigma**2)[:, None]), len(q), axis=1)
+        out.append(np.maximum(blurred, 0.0) / blurred.max(axis=1, keepdims=True))
+    return q, out
+
+
+def _lever(recording: Recording, exposure: Exposure, across: Across) -> Array:
+    """How far a facet's line lies off for its lean [mm/mrad], (k,), at the stated setting."""
+    bare = replace(recording, effects={}, fields={})
+    ends = [
+        signed_distance(
+            rays.predict(replace(bare, effects={"canting": {"pyr": lean}}), exposure, width=False), across.points
+        )[0]
+        for lean in (-0.5, 0.5)
+    ]
+    return ends[0] - ends[1]
