@@ -171,7 +171,7 @@ class Comb:
         return tuple(np.sqrt(np.diag(by_share @ self.covariance @ by_share.T)).tolist())
 
 
-def comb(q: Array, light: Array, sigma: Array, shape: tuple[Array, Array], cells: Array) -> Comb:
+def comb(q: Array, light: Array, sigma: Array, shape: tuple[Array, Array], cells: Array, least: float = 0.0) -> Comb:
     """Copies of a line at given places, with light ≥ 0, on a background that may slope.
 
     Parameters
@@ -180,7 +180,16 @@ def comb(q: Array, light: Array, sigma: Array, shape: tuple[Array, Array], cells
         Offsets [mm], light at them and 1 sigma of it.
     shape : (places, light) of the line, whose mean is at 0
     cells : (c,) array [mm]
+    least : float
+        Cells with less than this share of the light within a line's full width at half maximum are left out: noise that
+        cannot be negative would add to the parting.
     """
+    if least:
+        first = comb(q, light, sigma, shape, cells)
+        places, line = shape
+        wide = float(places[1] - places[0]) * float((line > 0.5 * line.max()).sum())
+        near = np.abs(cells[:, None] - cells) < 0.5 * wide
+        cells = cells[near @ first.shares > least]
     lines = np.stack([np.interp(q - x, *shape, left=0.0, right=0.0) for x in cells], axis=1)
     ground = np.stack([np.ones(len(q)), q / REACH], axis=1) * lines.max()
     design = np.concatenate([lines, ground, -ground], axis=1) / sigma[:, None]

@@ -2,8 +2,11 @@
 
 Each candidate is simulated like a recording without photographs (`simulation`) and linearised at its stated setting.
 What is left untouched keeps its nuisances, which is what makes a repeat or a rolled screen worth more than a new
-setting. Gating an ungated bench to single facets is not among them: it asks for parameters that the ungated data do not
-have.
+setting. Where the facets' lines part, they would part in an ungated recording too.
+
+Gated to one facet an exposure shows what a line's width is without the others: facets that lean differently leave it as
+stated, what is wrong with the beam or with every facet does not. Where that line lies says nothing by itself, for
+nobody knows by how much this facet leans: its centre line is not counted.
 """
 
 from __future__ import annotations
@@ -19,6 +22,8 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Exposure, Recording
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.problem import Effect, Further, Problem
+from benchsim.instruments.bench.observed import Observed
+from benchsim.instruments.bench.parting import as_parted
 
 Array = NDArray[np.float64]
 
@@ -30,6 +35,9 @@ MOVE = 100.0
 
 SUNS_DEG = ((101.0, 50.0), (150.0, 30.0), (210.0, 65.0), (260.0, 35.0))
 """Azimuth and elevation of the laser for new settings [deg]."""
+
+OF_MANY = ("tilt_rms", "wob_c")
+"""How ungated facets differ: parameters that a single facet's width does not depend on."""
 
 ELSEWHERE_DEG = 15.0
 """A sun nearer than this to one that was recorded is nothing new."""
@@ -43,7 +51,7 @@ class Candidate:
     what: str
     exposure: Exposure
     cameras: dict[str, Camera]
-    kinds: str = "cwfm"
+    kinds: str = "cwfgm"
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,8 @@ class Next:
         `problem.build`.
     simulate : callable
         `simulation.simulate_one`.
+    parted : tuple of Observed
+        Exposures in which the facets' lines part.
     spread : callable
         ``map`` or a pool's, as `Problem.spread`.
     """
@@ -69,6 +79,7 @@ class Next:
     catalogue: tuple[Effect, ...]
     build: Callable[..., Problem]
     simulate: Callable[..., Any]
+    parted: tuple[Observed, ...] = ()
     spread: Callable[..., Iterable[Any]] = map
 
     def __call__(self) -> tuple[Further, ...]:
@@ -89,6 +100,9 @@ class Next:
             cameras={**self.recording.cameras, **c.cameras},
         )
         observed = self.simulate(recording, len(recording.exposures) - 1)
+        gated = c.exposure.facet is not None
+        if self.parted and not gated:
+            observed = as_parted(observed, self.parted)
         problem = self.build(recording, (observed,), against=self.against, attached=False)
         problem = replace(problem, spread=self.spread)
         amplitudes = tuple(p for e in self.catalogue for p in e.parameters if not p.grid)
@@ -97,6 +111,9 @@ class Next:
         columns = linear.columns(problem, shapes, whole)
         rows = np.flatnonzero(np.isin(problem.kind, list(c.kinds)))
         n = len(problem.nuisances)
+        for i, p in enumerate(amplitudes):
+            if gated and p.power == 2 and p.name in OF_MANY:
+                columns[:, n + i] = 0.0
         return Further(
             c.kind,
             c.what,
@@ -108,7 +125,7 @@ class Next:
 
 
 def candidates(recording: Recording) -> tuple[Candidate, ...]:
-    """What could be recorded next: repeats, moves of screen and camera, new suns."""
+    """What could be recorded next: repeats, moves of screen and camera, a single facet, new suns."""
     last = max(recording.exposures, key=lambda e: e.time)
     base = replace(last, image=None, dark=None, time=last.time + 60.0)
     out = [
@@ -132,6 +149,16 @@ def candidates(recording: Recording) -> tuple[Candidate, ...]:
             {},
         ),
     ]
+    if recording.mirror.shape == "polygon" and all(e.facet is None for e in recording.exposures):
+        out.append(
+            Candidate(
+                "recording",
+                f"record setting {last.setting} again gated to one facet, mirror and laser untouched",
+                replace(base, facet=0),
+                {},
+                "wfm",
+            )
+        )
     name, moved = _moved(recording.cameras[last.camera])
     where = ", ".join(f"{x:.0f}" for x in moved.position)
     out.append(

@@ -12,6 +12,7 @@ much light as one; its offset then has to follow the lever, or no facet explains
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from benchsim import rays
 from benchsim.bench.curve import signed_distance
 from benchsim.bench.model import Exposure, Physics, Recording
 from benchsim.bench.place import place
-from benchsim.instruments.bench.observed import mm_per_px, smooth_floor
+from benchsim.instruments.bench.observed import Observed, mm_per_px, no_shape, smooth_floor
 from benchsim.trace.parting import CELLS, REACH, Across, Comb, comb, one_line
 from benchsim.trace.pose import Pose
 from benchsim.trace.table import Trace
@@ -108,6 +109,24 @@ def parted(
     return _measured(recording, across, q, plain[0], wide, combs, lever, line)
 
 
+def as_parted(seen: Observed, like: Sequence[Observed]) -> Observed:
+    """Data of an exposure as they would be where lines part as in others, with noise like theirs; parting 0."""
+
+    def usual(of: Callable[[Observed], Array]) -> float:
+        return float(np.sqrt(np.median(np.concatenate([np.diag(of(o)) for o in like]))))
+
+    centre, parting = usual(lambda o: o.covariance), usual(lambda o: o.parting_covariance)
+    one = np.ones(len(seen.s))
+    white = np.diag(one) / FEWEST**2
+    return replace(
+        seen,
+        covariance=seen.covariance + centre**2 * (smooth_floor(seen.s, one) + white),
+        parting=np.zeros(len(one)),
+        parting_covariance=parting**2 * (smooth_floor(seen.s, one) + white),
+        **no_shape(),
+    )
+
+
 def _measured(
     recording: Recording,
     across: Across,
@@ -119,14 +138,15 @@ def _measured(
     line: Trace,
 ) -> Parted | None:
     """Mean and parting of the light within the range of leans where all stretches together show lines."""
-    low, high = _leans(combs, wide, lever, SHARE / recording.mirror.facets)
+    least = SHARE / recording.mirror.facets
+    low, high = _leans(combs, wide, lever, least)
     rows, means, squares, errors = [], [], [], []
     for k in combs:
         reach = np.sort([low * lever[k], high * lever[k]]) + np.array([-0.5, 0.5]) * wide[k]
         inside = (across.q[k] > reach[0] - 0.5 * wide[k]) & (across.q[k] < reach[1] + 0.5 * wide[k])
         if not np.isfinite(across.sigma[k][inside]).all():
             continue
-        found = _comb(across, k, q, shapes[k], wide[k], (float(reach[0]), float(reach[1])))
+        found = _comb(across, k, q, shapes[k], wide[k], (float(reach[0]), float(reach[1])), least)
         rows.append(k)
         means.append(found.mean)
         squares.append(found.parting)
@@ -172,14 +192,16 @@ def _bins(across: Across, k: int) -> tuple[Array, Array, Array]:
     return across.q[k][known], across.light[k][known], across.error(k)[known]
 
 
-def _comb(across: Across, k: int, q: Array, shape: Array, wide: float, reach: tuple[float, float]) -> Comb:
+def _comb(
+    across: Across, k: int, q: Array, shape: Array, wide: float, reach: tuple[float, float], least: float = 0.0
+) -> Comb:
     """The comb of a stretch, with cells where it has pixels."""
     step = CELLS * wide
     cells = step * np.arange(np.ceil(reach[0] / step), np.floor(reach[1] / step) + 1)
     dark = across.q[k][~np.isfinite(across.sigma[k])]
     if len(dark):
         cells = cells[np.abs(cells[:, None] - dark).min(axis=1) > 0.7 * wide]
-    return comb(*_bins(across, k), (q, shape), cells)
+    return comb(*_bins(across, k), (q, shape), cells, least)
 
 
 def _beaten(across: Across, rows: list[int], q: Array, shapes: Array, combs: dict[int, Comb]) -> bool:

@@ -113,7 +113,7 @@ def build(
         catalogue=catalogue,
         predict=predict,
         attachments=attachments(predict) if attached else (),
-        further=Next(recording, against, catalogue, build, simulate_one),
+        further=Next(recording, against, catalogue, build, simulate_one, tuple(o for o in observed if len(o.parting))),
     )
 
 

@@ -1,0 +1,126 @@
+"""Scenario: facets lean by different angles, so that each draws a line of its own, some widths apart. What photographs
+then show across the trace is made here of the ray model's irradiance, one facet's line beside the other; the lines'
+parting has to be read from it, a line that is merely broad has to be left alone, and on four settings of the bench the
+diagnosis has to take the parting for what it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchsim import rays
+from benchsim.bench.curve import signed_distance
+from benchsim.bench.files import read
+from benchsim.diagnosis.naming import name
+from benchsim.instruments.bench import further, observables, parting
+from benchsim.instruments.bench.observed import beside
+from benchsim.instruments.bench.problem import build, draw
+from benchsim.instruments.bench.simulation import simulate_one
+from benchsim.trace.parting import Across
+from benchsim.trace.pose import Pose
+from benchsim.trace.table import Trace
+
+ROOT = Path(__file__).parents[2]
+RECORDING = read(ROOT / "scenes/campaign12.toml", images=False)
+RECORDING = replace(RECORDING, exposures=RECORDING.exposures[:4])
+TILTS = np.array([0.35, 0.8, 0.3, -1.3, 0.9, 0.45, -0.5, 0.6, 0.4, 0.3, 0.0, 0.5])
+"""Of twelve facets [mrad]; their lines lie within 10 mm, some beside and some over each other."""
+
+
+def shown(exposure, tilts, rng, bent=0.0, shaken=0.0):
+    """What an exposure shows across its trace; tilts [mrad], bent [mrad] and shaken [mm] as `parting._shapes`."""
+    observed = simulate_one(RECORDING, RECORDING.exposures.index(exposure))
+    curve = rays.predict(RECORDING, exposure, width=False)
+    s = np.linspace(0.05, 0.95, 16) * curve.arc_length()[-1]
+    at, ends = (parting_points(curve, s, d) for d in (0.0, 1.0))
+    q = np.tile(np.arange(-45.0, 45.0, 0.6), (16, 1))
+    blank = Across(s, at, ends - at, q, np.zeros_like(q), np.full_like(q, 0.004))
+    view = observed.view
+    solved = np.zeros((6, 6)), np.zeros((0, 4, 2)), 1.0, np.zeros(0, bool), (), 0.0
+    pose = Pose(view.rotation, view.translation, view.camera, *solved)
+    blur = 0.7 * parting.mm_per_px(pose, blank.points, blank.normal)
+    places, (line,) = parting._shapes(RECORDING, exposure, blank, blur, 1e-3 * bent, (shaken,))
+    lever = parting._lever(RECORDING, exposure, blank)
+    lines = zip(q, lever, line, strict=True)
+    light = np.array([np.mean([np.interp(x - t * u, places, y) for t in tilts], axis=0) for x, u, y in lines])
+    light = light / light.max() + blank.sigma * rng.standard_normal(q.shape)
+    none = np.zeros(16)
+    ridge = Trace("x", none.astype(int), s, *(none,) * 9, normal=blank.normal, pose_mm=np.zeros((16, 6)))
+    return replace(blank, light=light), pose, ridge, lever
+
+
+def parting_points(curve, s, distance):
+    return beside(curve, s, np.full(len(s), distance))
+
+
+def test_the_parting_of_many_lines_is_their_mean_square_lean_times_the_levers_square():
+    rng = np.random.default_rng(5)
+    for exposure in RECORDING.exposures[:2]:
+        across, pose, ridge, lever = shown(exposure, TILTS, rng)
+        found = parting.parted(RECORDING, exposure, across, pose, 0.7, ridge)
+        assert found is not None and len(found.s) == 16
+        sigma = np.sqrt(np.diag(found.parting_covariance))
+        assert np.abs((found.parting - TILTS.var() * lever**2) / sigma).max() < 4
+        off = signed_distance(rays.predict(RECORDING, exposure, width=False), found.points)[0]
+        assert np.abs((off - TILTS.mean() * lever) / np.sqrt(np.diag(found.covariance))).max() < 4
+
+
+@pytest.mark.parametrize(("bent", "shaken"), [(0.0, 0.0), (3.5, 0.0), (-7.0, 0.0), (0.0, 1.5)])
+def test_a_single_line_however_broad_is_left_alone(bent, shaken):
+    exposure = RECORDING.exposures[0]
+    across, pose, ridge, _ = shown(exposure, np.zeros(1), np.random.default_rng(6), bent, shaken)
+    assert parting.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
+    gated = replace(exposure, facet=3)
+    assert parting.parted(RECORDING, gated, across, pose, 0.7, ridge) is None
+
+
+@pytest.fixture(scope="module")
+def parted_problem():
+    seen = observables.simulate(RECORDING, seed=2)
+    like = replace(
+        seen[0],
+        covariance=np.eye(16) * 0.03**2,
+        parting=np.full(16, 20.0),
+        parting_covariance=np.eye(16) * 0.6**2,
+    )
+    return build(RECORDING, tuple(parting.as_parted(o, (like,)) for o in seen), attached=False)
+
+
+def test_the_prediction_is_the_ray_models_parting(parted_problem):
+    problem = parted_problem
+    assert set(problem.kind) == {"c", "g", "m"}
+    tilted = replace(RECORDING, effects={"facet-tilts": {"tilt_rms": 2.0}})
+    for b, exposure in enumerate(RECORDING.exposures[:2]):
+        here = problem.kind[problem.rows(b)] == "g"
+        assert not problem.predict({}, b)[here].any()
+        curve = rays.predict(tilted, exposure, width=False)
+        o = problem.predict.blocks[b].observed
+        wanted = np.interp(signed_distance(curve, o.points)[1], curve.arc_length(), curve.parting)
+        assert np.allclose(problem.predict({"tilt_rms": 2.0}, b)[here], wanted, rtol=1e-3)
+
+
+def test_parted_lines_are_named_for_the_facets_and_shaking_is_not(parted_problem):
+    rng = np.random.default_rng(11)
+    found = name(draw(parted_problem, {"tilt_rms": 1.5}, rng))
+    best = max((f for f in found.fits if f.converged), key=lambda f: f.log_evidence)
+    assert set(best.effects) <= {"facet-tilts", "axis-wobble"} and best.effects
+    # 1.5 mrad rms are a wobble of √2 as much.
+    size = best.values.get("tilt_rms", 0.0) + best.values.get("wob_c", 0.0) / np.sqrt(2)
+    assert size == pytest.approx(1.5, rel=0.05)
+    assert found.probability["vibration"] < 0.05 and found.probability["astigmatism"] < 0.05
+
+
+def test_a_gated_recording_shows_whether_one_facets_line_is_as_wide_as_stated():
+    seen = observables.simulate(RECORDING, seed=2)
+    problem = build(RECORDING, seen, attached=False)
+    assert isinstance(problem.further, further.Next)
+    gated = [c for c in further.candidates(RECORDING) if c.exposure.facet is not None]
+    assert len(gated) == 1 and "gated to one facet" in gated[0].what
+    found = problem.further._one(gated[0])
+    assert not found.effect["tilt_rms"].any() and not found.effect["wob_c"].any()
+    assert np.abs(found.effect["astig0"]).max() > 0 and np.abs(found.effect["fcurv"]).max() > 0
+    already = replace(RECORDING, exposures=(replace(RECORDING.exposures[0], facet=2), *RECORDING.exposures[1:]))
+    assert not [c for c in further.candidates(already) if c.exposure.facet not in (None, 2)]
