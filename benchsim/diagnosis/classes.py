@@ -85,16 +85,17 @@ def space(problem: Problem, linear: Linear, scale: float, keep: NDArray[np.bool_
     return Space(m.gram, m.projection, sigma, limits[:, 0], limits[:, 1], index)
 
 
-def about(naming: Naming, fit: Fit) -> Linear:
+def about(whole: Linear, fit: Fit) -> Linear:
     """The whole catalogue's columns, those of a fit's own effects and of the nuisances taken about the fit.
 
-    The other columns stay where `Naming.linear` has them, at the null: they are wanted for rivals, to first order.
+    The other columns stay where ``whole`` (`Naming.linear`) has them, at the null: they are wanted for rivals, to first
+    order.
     """
-    columns = naming.linear.effect.copy()
+    columns = whole.effect.copy()
     for k, name in enumerate(fit.linear.names):
-        if name in naming.linear.names:
-            columns[:, naming.linear.names.index(name)] = fit.linear.effect[:, k]
-    return replace(fit.linear, effect=columns, names=naming.linear.names)
+        if name in whole.names:
+            columns[:, whole.names.index(name)] = fit.linear.effect[:, k]
+    return replace(fit.linear, effect=columns, names=whole.names)
 
 
 def amplitude_vector(problem: Problem, names: Sequence[str], fit: Fit) -> Array:

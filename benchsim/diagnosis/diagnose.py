@@ -107,6 +107,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         _left(problem, naming, naming.null, modes),
         _left(problem, naming, best.fit, modes),
         best.claim is None or not more or _with(problem, naming, more[0], modes)[1].acceptable,
+        best.fit.setting_scale,
     )
     if findings.stands and more and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING:
         best = _beside(problem, naming, best, more[0])
@@ -127,7 +128,7 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
     notes = list(judged.notes)
     tell("settings left out", 0.8)
     laid = _winner(findings, place) if said == "located" else None
-    about = classes.about(naming, on)
+    about = classes.about(naming.linear, on)
     if laid is not None:
         about = replace(about, residual=laid.linear.residual, nuisance=laid.linear.nuisance)
     many = held_out.folds(problem, naming, about)
@@ -180,7 +181,7 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> _Best:
         return null
     fit = max(fits.values(), key=lambda f: f.log_evidence)
     while fit.effects:
-        linear = classes.about(naming, fit)
+        linear = classes.about(naming.linear, fit)
         within = classes.space(problem, linear, fit.setting_scale)
         signal = classes.amplitude_vector(problem, naming.linear.names, fit)
         hypotheses = classes.complete(classes.weighed(naming), fit.effects, within)
@@ -391,7 +392,12 @@ def _remarks(problem: Problem, naming: Naming, best: _Best, findings: Findings, 
         out.append(f"Not converged, so nothing rests on it: {names}.")
     if len(set(problem.groups)) < held_out.FEWEST:
         out.append("Fewer than three settings: none can be left out to test the prediction.")
-    if findings.claim is not None and not findings.stands:
+    if findings.claim is not None and findings.scale >= verdict.STRETCHED and findings.left.acceptable:
+        out.append(
+            f"{' + '.join(findings.claim.best)} would explain the data if the settings were {findings.scale:.2g} times "
+            "as far off as stated: either those statements are wrong, or something else is missing."
+        )
+    elif findings.claim is not None and not findings.stands:
         of = findings.free[0].attachment
         out.append(
             f"{' + '.join(findings.claim.best)} is the nearest name, but an unknown function of {of.coordinate} "

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from benchsim.diagnosis import noise as noises
 from benchsim.diagnosis import screen
@@ -26,7 +26,7 @@ from benchsim.diagnosis.attachments import Attached, Prepared, smooth_functions,
 from benchsim.diagnosis.classes import estimate, space
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects, Naming
-from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, whiten
+from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, precision, whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import HeldOut
 
@@ -149,7 +149,7 @@ def excess(linear: Linear, residual: Array, test: NDArray[np.bool_], scale: floa
     """χ² of left-out data with their nuisances marginalised at the priors, less its expectation."""
     n_cols, r = linear.nuisance[test], residual[test]
     s = np.where(linear.scaled, scale, 1.0)
-    factor = cho_factor(np.diag(s**-2.0) + n_cols.T @ n_cols, lower=True)
+    factor = precision(n_cols, s)
     cross = n_cols.T @ r
     return float(r @ r - cross @ cho_solve(factor, cross)) - int(test.sum())
 

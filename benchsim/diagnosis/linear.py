@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 from benchsim.diagnosis.problem import Parameter, Problem, Values
 
@@ -118,6 +118,21 @@ def whiten(problem: Problem, covariance: tuple[Array, ...], columns: Array) -> t
     return lowered(lower, columns), float(2 * sum(np.log(np.diag(low)).sum() for low in lower))
 
 
+def precision(nuisance: Array, sigma: Array, own: Array | None = None) -> tuple[Array, bool]:
+    """Factor of NᵀN + S⁻² for `scipy.linalg.cho_solve`, of whitened columns (n, p) and prior sigmas (p,).
+
+    ``own`` is NᵀN, where it is there already.
+
+    Far from any fit columns are so long that their square has lost the prior: the factor is then found without it.
+    """
+    inner = np.diag(sigma**-2.0) + (nuisance.T @ nuisance if own is None else own)
+    try:
+        return np.asarray(np.linalg.cholesky(inner), float), True
+    except np.linalg.LinAlgError:
+        upper = np.linalg.qr(np.concatenate([nuisance, np.diag(1 / sigma)]), mode="r")
+        return (upper * np.sign(np.diag(upper))[:, None]).T, True
+
+
 def marginal(linear: Linear, columns: Array, scale: float = 1.0, keep: NDArray[np.bool_] | None = None) -> Marginal:
     """Marginalise the nuisances.
 
@@ -134,8 +149,7 @@ def marginal(linear: Linear, columns: Array, scale: float = 1.0, keep: NDArray[n
     use = slice(None) if keep is None else keep
     n_cols, both = linear.nuisance[use], np.column_stack([linear.residual[use], columns[use]])
     s = np.where(linear.scaled, scale, 1.0)
-    inner = np.diag(s**-2.0) + n_cols.T @ n_cols
-    factor = cho_factor(inner, lower=True)
+    factor = precision(n_cols, s)
     cross = n_cols.T @ both
     product = both.T @ both - cross.T @ cho_solve(factor, cross)
     logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum())

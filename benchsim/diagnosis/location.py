@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.stats import norm
 
-from benchsim.diagnosis.linear import Linear
+from benchsim.diagnosis.linear import Linear, precision
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Location, Stretch
 
@@ -88,7 +88,7 @@ def scan(problem: Problem, linear: Linear, covariance: tuple[Array, ...], scale:
     if not windows:
         return ()
     s = np.where(linear.scaled, scale, 1.0)
-    factor = cho_factor(np.diag(s**-2.0) + linear.nuisance.T @ linear.nuisance, lower=True)
+    factor = precision(linear.nuisance, s)
     pull = cho_solve(factor, linear.nuisance.T @ linear.residual)
     cleaned = linear.residual - linear.nuisance @ pull
     z = np.empty(len(windows))

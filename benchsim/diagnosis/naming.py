@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from benchsim.diagnosis import curvature, evidence, linear, noise, refit, screen, settings, starts
+from benchsim.diagnosis import classes, curvature, evidence, linear, noise, refit, screen, settings, starts
 from benchsim.diagnosis.attachments import smooth_functions
 from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.evidence import Term
@@ -31,6 +31,10 @@ Progress = Callable[[str, float], None]
 FEWEST, MOST = 4, 10
 """Refits, the null included."""
 
+MORE = 4
+"""Refits beyond the most while what was weighed highest, about a good fit, was not refitted: nothing may be claimed of
+it before."""
+
 ROUGHLY = 3
 """Descents of the first fit of the null, which only has to come near enough to judge the noise."""
 
@@ -43,6 +47,10 @@ added is large, and then it is not behind."""
 
 LONE = 7
 """Refits, the null included, in which single effects are tried first where the null misses the data."""
+
+RIVALS, NEARBY = 3, 6.0
+"""Most sets with one effect exchanged that are refitted after the best, and the separation in sigma up to which: about
+a null that misses the data the right one of two that look alike may have been weighed wrong and never tried."""
 
 BORNE_OUT = 1.0
 """Difference in ln Z up to which a linearisation about a good fit and the refit it foretold check each other."""
@@ -187,7 +195,7 @@ def _search(
     log_z[()] = null.fit.log_evidence
     table = _Table(log_z, dict.fromkeys(log_z, ()))
     done: dict[Effects, Solved] = {(): null}
-    while len(done) < refits:
+    while len(done) < refits + MORE:
         best = _best(done)
         left = [e for e in table.log_z if e not in done]
         if len(done) >= FEWEST:
@@ -198,6 +206,10 @@ def _search(
         if not left:
             break
         pick = max(left, key=lambda e: table.log_z[e])
+        if len(done) >= refits:
+            about = done[table.source[pick]]
+            if table.log_z[pick] <= best or not about.fit.converged or refit.misses(context, about):
+                break
         if len(done) == 1 and refit.misses(context, null):
             pick = starts.together(context) or pick
         source = done[table.source.get(pick, ())]
@@ -213,7 +225,32 @@ def _search(
                 catalogue = screen.expand(context.problem, solved.fit.values)
                 white = context.whiten(catalogue.columns)
             _weigh_again(context, catalogue, white, solved, table, done)
+    if refit.misses(context, null):
+        _challenge(context, catalogue, null, table, done)
     return table, done
+
+
+def _challenge(
+    context: Context, catalogue: Catalogue, null: Solved, table: _Table, done: dict[Effects, Solved]
+) -> None:
+    """Refit what is close to the best fit and has one effect exchanged, if it never was."""
+    best = max((s for s in done.values() if s.fit.converged), key=lambda s: s.fit.log_evidence, default=null)
+    own, names = best.fit.effects, list(catalogue.effects)
+    if not own or refit.misses(context, best):
+        return
+    whole = _whole(context, catalogue, null)
+    within = classes.space(context.problem, classes.about(whole, best.fit), best.fit.setting_scale)
+    signal = classes.amplitude_vector(context.problem, whole.names, best.fit)
+    near: dict[Effects, float] = {}
+    for out in own:
+        for new in (n for n in names if n not in own):
+            effects = tuple(n for n in names if n == new or (n in own and n != out))
+            if effects not in done:
+                near[effects] = classes.separation(within, signal, effects)
+    for effects in sorted((e for e in near if near[e] < NEARBY), key=lambda e: near[e])[:RIVALS]:
+        solved = _refit(context, catalogue, effects, null, done, -np.inf)
+        done[effects] = solved
+        table.log_z[effects], table.source[effects] = solved.fit.log_evidence, ()
 
 
 def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_z: dict[Effects, float]) -> None:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
-from benchsim.diagnosis.linear import Linear, Marginal
+from benchsim.diagnosis.linear import Linear, Marginal, precision
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def marginals(linear: Linear, columns: Array, scales: Array) -> tuple[Marginal, 
     out = []
     for scale in scales:
         s = np.where(linear.scaled, scale, 1.0)
-        factor = cho_factor(np.diag(s**-2.0) + own, lower=True)
+        factor = precision(linear.nuisance, s, own)
         product = square - cross.T @ cho_solve(factor, cross)
         logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum()) + linear.logdet
         out.append(Marginal(product[1:, 1:], product[1:, 0], float(product[0, 0]), logdet, len(both)))

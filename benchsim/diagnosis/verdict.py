@@ -23,6 +23,10 @@ PATCH = 0.1
 """Part of what the best function gains over the null that a name beside it has to add: less may make up for what a
 function of finite resolution, taken to first order, leaves of a large misfit."""
 
+STRETCHED = 3.0
+"""Scale of the setting errors from which on no name is said: errors so much larger than stated are as improbable as one
+more thing that is missing, which they may stand for."""
+
 MISSING = float(np.log(SURE / (1 - SURE)))
 """Δ ln Z at which a function without a name shows that something is missing."""
 
@@ -57,6 +61,7 @@ class Findings:
     left_null: Remainder
     left: Remainder
     together: bool = True
+    scale: float = 1.0
 
     @property
     def margin(self) -> float:
@@ -66,12 +71,14 @@ class Findings:
         alone, function = self.log_evidence, self.free[0].log_evidence
         joint = max([alone, *(a.log_evidence for a in self.more if self.together)])
         patch = joint - function < PATCH * (function - self.null_log_evidence)
+        # Beside a function that gains more than the name does, the name is the patch, however much it adds.
+        patch = patch or joint - alone > alone - self.null_log_evidence
         return (alone if patch else joint) - function
 
     @property
     def stands(self) -> bool:
-        """The names are at least as probable as the best attachment."""
-        return self.claim is not None and self.margin >= PROBABLE_MARGIN
+        """The names are at least as probable as the best attachment, and the settings about where they were set."""
+        return self.claim is not None and self.margin >= PROBABLE_MARGIN and self.scale < STRETCHED
 
     @property
     def something_left(self) -> bool:

@@ -14,12 +14,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 import benchsim
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, field
 from benchsim.bench.files import read
 from benchsim.bench.model import Camera, Exposure, Recording
+from benchsim.diagnosis.classes import bounds
 from benchsim.diagnosis.linear import Linear, columns, linearise, predict_all, whiten
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 from benchsim.diagnosis.screen import Catalogue, expand
@@ -145,25 +147,41 @@ class Sight:
         j = columns(self.problem, at, (parameter,))
         return self.through(whiten(self.problem, self.problem.covariance, j)[0])[:, 0]
 
-    def rival(self, delta: Array, own: tuple[str, ...]) -> tuple[str, float]:
+    def rival(self, delta: Array, concealed: tuple[str, ...]) -> tuple[str, float]:
         """Nearest other single or pair without the truth, amplitudes, shapes and nuisances refitted [sigma].
 
-        Shapes at the nodes of their grids; amplitudes without their caps.
+        Shapes at the nodes of their grids; amplitudes within their caps: what no bench can have is nobody's rival.
         """
         norm = np.linalg.norm(self.columns, axis=0)
         unit = self.columns / np.where(norm > 1e-9, norm, 1.0)
         gram, cross, whole = unit.T @ unit, unit.T @ delta, float(delta @ delta)
         nodes = {e: [list(node.columns) for node in many] for e, many in self.catalogue.nodes.items()}
-        best = ("", float(np.sqrt(whole)))
+        limits = np.zeros((len(norm), 2))
+        for effect in self.problem.catalogue:
+            own = np.array([bounds(p) for p in effect.parameters if not p.grid])
+            for at in nodes[effect.name]:
+                limits[at] = own
+        limits *= norm[:, None]
+        free: list[tuple[float, str, list[int], bool]] = []
         for a, b in combinations_with_replacement(nodes, 2):
-            if set(own) <= {a, b}:
+            if set(concealed) <= {a, b}:
                 continue
             for first, second in product(nodes[a], nodes[b] if b != a else [[]]):
                 at = [k for k in (*first, *second) if norm[k] > 1e-9]
                 size = np.linalg.lstsq(gram[np.ix_(at, at)], cross[at], rcond=1e-9)[0] if at else np.zeros(0)
+                inside = bool(np.all((size >= limits[at, 0]) & (size <= limits[at, 1])))
                 distance = float(np.sqrt(max(whole - float(cross[at] @ size), 0.0)))
-                if distance < best[1]:
-                    best = ("+".join(sorted({a, b})), distance)
+                free.append((distance, "+".join(sorted({a, b})), at, inside))
+        best = ("", float(np.sqrt(whole)))
+        # Without its caps a rival comes nearer: the nearest of those tells where to stop.
+        for distance, name, at, inside in sorted(free, key=lambda f: f[0]):
+            if distance >= best[1]:
+                break
+            if not inside:
+                found = lsq_linear(unit[:, at], delta, bounds=(limits[at, 0], limits[at, 1]))
+                distance = float(np.linalg.norm(found.fun))
+            if distance < best[1]:
+                best = (name, distance)
         return best
 
 

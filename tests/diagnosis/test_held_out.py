@@ -14,7 +14,7 @@ def prepared(problem):
     best = next(f for f in found.fits if f.converged)
     return (
         found,
-        held_out.folds(problem, found, classes.about(found, best)),
+        held_out.folds(problem, found, classes.about(found.linear, best)),
         attachments.prepare(problem, found.noise.covariance),
     )
 
@@ -57,7 +57,7 @@ def test_a_fold_knows_nothing_of_what_it_leaves_out():
     best = next(f for f in found.fits if f.converged)
     before = held_out.predict(problem, many[2], ready)
     spoilt = np.where(many[2].test, 40.0 * np.sin(np.arange(len(problem.data))), 0.0)
-    lines = classes.about(found, best)
+    lines = classes.about(found.linear, best)
     spoilt_null = replace(found, linear=replace(found.linear, residual=found.linear.residual + spoilt))
     again = held_out.folds(problem, spoilt_null, replace(lines, residual=lines.residual + spoilt))[2]
     after = held_out.predict(problem, again, ready)

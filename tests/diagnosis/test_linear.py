@@ -28,6 +28,22 @@ def test_marginal_products_are_those_of_the_full_covariance(about):
         assert found.logdet == pytest.approx(np.linalg.slogdet(full)[1] + lin.logdet, rel=1e-10)
 
 
+def test_columns_so_long_that_their_square_has_lost_the_prior_are_factored_all_the_same():
+    """Far from any fit a bench answers a milliradian with metres. Thirty columns that are sums of ten leave
+    NᵀN + S⁻² indefinite by rounding; its factor still is what the columns and the prior make it."""
+    rng = np.random.default_rng(3)
+    n = rng.normal(size=(60, 10)) @ rng.normal(size=(10, 30)) * 1e7
+    s = np.full(30, 1e3)
+    inner = np.diag(s**-2.0) + n.T @ n
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(inner)
+    factor, lower = linear.precision(n, s)
+    assert lower and (np.diag(factor) > 0).all()
+    np.testing.assert_allclose(factor @ factor.T, inner, rtol=1e-9, atol=1e-9 * np.abs(inner).max())
+    near = rng.normal(size=(60, 10))
+    np.testing.assert_allclose(linear.precision(near, s)[0], np.linalg.cholesky(np.diag(s**-2.0) + near.T @ near))
+
+
 def test_all_scales_at_once_are_each_scale_alone(about):
     _, _, lin = about
     scales, weights = settings.grid()

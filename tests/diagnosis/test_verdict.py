@@ -75,6 +75,23 @@ def test_a_name_that_only_mends_a_function_is_not_said():
     assert replace(findings(log_evidence=50.0, free=(70.0,), more=(90.0,)), together=False).margin == pytest.approx(-20)
 
 
+def test_beside_a_function_that_outdoes_it_a_name_is_not_said():
+    """A dent that an unknown height gains 2500 for is no plume, though a plume of gain 800 makes the height fit better:
+    the height's knots are coarse. A name that gains most of what both do stands, and something is left beside it."""
+    dent = findings(log_evidence=800.0, free=(2500.0,), more=(3300.0,))
+    assert not dent.stands and verdict(dent, HERE) == "located"
+    assert found(PROBLEM, dent, fit(), sure(0.999)) == ((), ())
+    most = findings(log_evidence=2400.0, free=(1500.0,), more=(3300.0,))
+    assert most.stands and most.something_left
+
+
+def test_no_name_rests_on_settings_three_times_as_far_off_as_stated():
+    stretched = replace(findings(), scale=3.5)
+    assert verdict(stretched, OPEN) == "unexplained" and verdict(stretched, HERE) == "located"
+    assert found(PROBLEM, stretched, fit(), sure(0.999)) == ((), ())
+    assert verdict(replace(findings(), scale=2.7), HERE) == "named"
+
+
 @pytest.mark.parametrize(
     ("probability", "margin", "said"),
     [
