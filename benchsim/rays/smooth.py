@@ -18,7 +18,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from benchsim.bench.curve import Curve
-from benchsim.rays.bench import Bench, facet_nodes, nodes_needed
+from benchsim.rays.bench import MOST, Bench, facet_nodes, nodes_needed
 from benchsim.rays.laser import some
 from benchsim.rays.phases import axis_points
 from benchsim.rays.profile import Profiles, interpolation
@@ -36,8 +36,9 @@ class Rule(NamedTuple):
     along: int
 
 
-RULES = (Rule(14, 6, 4), Rule(32, 6, 4), Rule(32, 9, 5))
-"""Tried in turn: setting errors and most effects need the first, plumes the second, beams of much coma the third."""
+RULES = (Rule(14, 6, 4), Rule(32, 6, 4), Rule(32, 9, 5), Rule(32, MOST, MOST))
+"""Tried in turn: setting errors and most effects need the first, plumes the second, beams of much coma the third; the
+last traces the rays at all nodes that the sum over the beam takes."""
 
 TAIL = 1e-7
 """Largest of the last two coefficients along the trace [mm; of ln flux 1] that counts as resolved."""
@@ -120,7 +121,8 @@ def _curves(bench: Bench, phase: Array, rule: Rule, width: bool) -> Smooth:
 
         if h > 1:
             fine = mixed(bench, raw, points, tangent, across, finer)
-            resolved &= _node_tail(raw.q) < NODE_TAIL
+            if (across, along) != need:
+                resolved &= _node_tail(raw.q) < NODE_TAIL
         else:
             fine = finer(raw)
         centre = fine.mean(fine.q)
