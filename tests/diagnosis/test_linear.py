@@ -41,7 +41,7 @@ def test_columns_so_long_that_their_square_has_lost_the_prior_are_factored_all_t
     assert lower and (np.diag(factor) > 0).all()
     np.testing.assert_allclose(factor @ factor.T, inner, rtol=1e-9, atol=1e-9 * np.abs(inner).max())
     near = rng.normal(size=(60, 10))
-    np.testing.assert_allclose(linear.precision(near, s)[0], np.linalg.cholesky(np.diag(s**-2.0) + near.T @ near))
+    np.testing.assert_allclose(linear.precision(near, s[:10])[0], np.linalg.cholesky(1e-6 * np.eye(10) + near.T @ near))
 
 
 def test_all_scales_at_once_are_each_scale_alone(about):
