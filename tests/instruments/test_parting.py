@@ -113,6 +113,14 @@ def test_parted_lines_are_named_for_the_facets_and_shaking_is_not(parted_problem
     assert found.probability["vibration"] < 0.05 and found.probability["astigmatism"] < 0.05
 
 
+def test_a_halo_about_a_single_line_is_no_line():
+    exposure = RECORDING.exposures[0]
+    across, pose, ridge, _ = shown(exposure, np.zeros(1), np.random.default_rng(12))
+    halo = 0.012 * np.exp(-0.5 * (across.q / 12.0) ** 2)
+    glaring = replace(across, light=across.light + halo)
+    assert parting.parted(RECORDING, exposure, glaring, pose, 0.7, ridge) is None
+
+
 def test_a_gated_recording_shows_whether_one_facets_line_is_as_wide_as_stated():
     seen = observables.simulate(RECORDING, seed=2)
     problem = build(RECORDING, seen, attached=False)

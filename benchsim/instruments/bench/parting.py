@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,9 @@ SHAKEN = (0.0, 0.5, 1.0, 2.0, 4.0)
 
 SHARE = 0.3
 """Of one facet's light: less is no line."""
+
+APART = 1.5
+"""In a line's widths: leans at which there is enough light within a width lie over one width already for one line."""
 
 FEWEST = 6
 """Stretches on which all light is seen; with fewer the exposure stays as it is."""
@@ -92,7 +96,10 @@ def parted(
     known = np.isfinite(across.sigma)
     usable = np.flatnonzero(known.mean(axis=1) > 0.5).tolist()
     blurred = blur * mm_per_px(pose, across.points, across.normal)
-    q, plain = _shapes(recording, exposure, across, blurred, 0.0, (0.0,))
+    full = Physics(True, True, True)
+    # A simulation without beam has no profile; and whatever it leaves out is no facet's line.
+    stated = replace(recording, physics=recording.physics if recording.physics.beam else full)
+    q, plain = _shapes(stated, exposure, across, blurred, 0.0, (0.0,))
     wide = np.array([(q[1] - q[0]) * (shape > 0.5 * shape.max()).sum() for shape in plain[0]])
     reach = REACH - wide.max()
     combs = {k: _comb(across, k, q, plain[0][k], wide[k], (-reach, reach)) for k in usable}
@@ -101,8 +108,8 @@ def parted(
     if len(sample) < FEWEST or not _beaten(across, sample, q, plain[0], combs):
         return None
     sample = sample[:: max(1, len(sample) // 6)]
-    for bent in BENT:
-        for single in _shapes(recording, exposure, across, blurred, 1e-3 * bent, SHAKEN)[1]:
+    for bench, bent in product((stated, replace(recording, physics=full))[: 1 + (stated.physics != full)], BENT):
+        for single in _shapes(bench, exposure, across, blurred, 1e-3 * bent, SHAKEN)[1]:
             if not _beaten(across, sample, q, single, combs):
                 return None
     lever = _lever(recording, exposure, across)
@@ -140,6 +147,9 @@ def _measured(
     """Mean and parting of the light within the range of leans where all stretches together show lines."""
     least = SHARE / recording.mirror.facets
     low, high = _leans(combs, wide, lever, least)
+    if high - low < APART * float(np.median(wide / np.abs(lever))):
+        # What lies about the one line, a halo for instance, is none.
+        return None
     rows, means, squares, errors = [], [], [], []
     for k in combs:
         reach = np.sort([low * lever[k], high * lever[k]]) + np.array([-0.5, 0.5]) * wide[k]
@@ -217,11 +227,10 @@ def _shapes(
 ) -> tuple[Array, list[Array]]:
     """The stated bench's line behind the blur: places (n,) [mm], and for each shaking its light (stretch, n)."""
     q: Array = 0.05 * np.arange(-1200.0, 1201.0)
-    p = recording.physics
     curve, light = rays.irradiance_profiles(
         replace(recording.laser, divergence=recording.laser.divergence + bent),
         recording.mirror,
-        p if p.beam else Physics(True, True, True),
+        recording.physics,
         recording.screen,
         place(recording.mirror, exposure),
         q,
