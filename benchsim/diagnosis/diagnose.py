@@ -107,7 +107,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         _left(problem, naming, naming.null, modes),
         _left(problem, naming, best.fit, modes),
         best.claim is None or not more or _with(problem, naming, more[0], modes)[1].acceptable,
-        best.fit.setting_scale,
+        best.fit.setting_scale if problem.stated else 1.0,
     )
     if findings.stands and more and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING:
         best = _beside(problem, naming, best, more[0])

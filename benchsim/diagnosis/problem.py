@@ -176,6 +176,9 @@ class Problem:
     attachments : tuple of Attachment
     further : callable or None
         Called only when something is open: gives what could be recorded next.
+    stated : bool
+        Whether somebody stated the sigma of the scaled nuisances: a name that asks for errors several times as large is
+        then not said. False where they are a guess.
     spread : callable
         ``map`` for independent predictions; a pool's ``map`` uses more cores. Called as spread(predict, values,
         blocks).
@@ -194,6 +197,7 @@ class Problem:
     predict: Callable[[Values, int], Array]
     attachments: tuple[Attachment, ...] = ()
     further: Callable[[], tuple[Further, ...]] | None = None
+    stated: bool = True
     spread: Callable[..., Iterable[Any]] = field(default=map)
 
     def rows(self, block: int) -> slice:

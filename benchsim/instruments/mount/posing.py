@@ -45,4 +45,6 @@ def problem_of(predict: Predict, catalogue: Sequence[Effect], sigma: float) -> P
         nuisances=(*nuisances(predict.mount), *_drift(predict)),
         catalogue=tuple(catalogue),
         predict=predict,
+        # How far a telescope drifts in a night is a guess.
+        stated=False,
     )
