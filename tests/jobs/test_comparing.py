@@ -2,19 +2,26 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.fields import FORMS, field
 from benchsim.bench.files import read
-from benchsim.instruments.bench import observables, problem
+from benchsim.bench.settings import prior_sigma, to_vector
+from benchsim.diagnosis.result import Diagnosis, Law
+from benchsim.instruments.bench import amend, effects, observables, problem
 from benchsim.instruments.bench import pixels as about
 from benchsim.instruments.bench.probable import left_out, probable, state
-from benchsim.jobs import comparing
+from benchsim.jobs import comparing, diagnosing
+from benchsim.render import charge
 from benchsim.render import recording as rendering
+from benchsim.render.effects import gather
 from benchsim.report import pixels
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -119,33 +126,101 @@ def test_a_photograph_of_other_code_is_rendered_to_its_noise(tmp_path):
     assert cv2.imread(str(path)).shape[1] > 500
 
 
-def test_gain_and_blur_are_those_of_the_photograph(bowed, bowed_seen, monkeypatch):
-    """A photograph that is a blurred multiple of the render, with noise: both come back, and z is 1."""
+@pytest.fixture(scope="module")
+def laid(bowed, bowed_seen):
+    """What is laid on the first photograph: the render with the bow that was fitted, and the free board."""
     observed, built = bowed_seen
     s = state(built.predict, 0, probable(built, [*built.nuisances, *parameters(built, "screen-bow")], {}))
     kept = {}
 
     def keep(recording, o, before, after, free):
         kept.update(render=after, free=free)
-        return compare_exposure(recording, o, before, after, free)
+        raise BenchsimError("kept")
 
-    compare_exposure = comparing.compare_exposure
-    monkeypatch.setattr(comparing, "compare_exposure", keep)
-    comparing.compare(bowed, observed[:1], [s], [s], rays=FEW)
-    rng = np.random.default_rng(3)
-    light = 2e4 * cv2.GaussianBlur(kept["render"].laser / kept["render"].laser.max(), (0, 0), 0.8)
-    light = rng.normal(light + 100.0, 20 + 0.03 * light)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparing, "compare_exposure", keep)
+        with pytest.raises(BenchsimError, match="kept"):
+            comparing.compare(bowed, observed[:1], [s], [s], rays=FEW)
+    return kept["render"], kept["free"]
 
-    class Photograph:
-        linear, saturated = True, np.zeros(light.shape, bool)
 
-    Photograph.light = light
-    monkeypatch.setattr(about, "read_photographs", lambda *_: (Photograph, None))
-    found = compare_exposure(bowed, observed[0], kept["render"], kept["render"], kept["free"])
+def photographed(monkeypatch, light, seed):
+    """Photographs are from now on this light, with noise."""
+    light = np.random.default_rng(seed).normal(light + 100.0, 20 + 0.03 * light)
+    seen = SimpleNamespace(linear=True, saturated=np.zeros(light.shape, bool), light=light)
+    monkeypatch.setattr(about, "read_photographs", lambda *_: (seen, None))
+
+
+def test_gain_and_blur_are_those_of_the_photograph(bowed, bowed_seen, laid, monkeypatch):
+    """A photograph that is a blurred multiple of the render, with noise: both come back, and z is 1."""
+    render, free = laid
+    photographed(monkeypatch, 2e4 * cv2.GaussianBlur(render.laser / render.laser.max(), (0, 0), 0.8), 3)
+    found = comparing.compare_exposure(bowed, bowed_seen[0][0], render, render, free)
     assert found.after is found.before
-    assert found.after.gain * kept["render"].laser.max() == pytest.approx(2e4, rel=0.01)
+    assert found.after.gain * render.laser.max() == pytest.approx(2e4, rel=0.01)
     assert found.after.blur == pytest.approx(0.8, abs=0.02)
     assert found.after.z_std == pytest.approx(1, abs=4 / math.sqrt(2 * found.pixels) + 0.02)
+
+
+@pytest.mark.parametrize("kind", ["law", "blooming"])
+def test_what_the_sensor_does_is_laid_on_the_photograph(bowed, bowed_seen, laid, monkeypatch, kind):
+    """Rationale: a law of brightness and blooming belong to the sensor, which `render` draws after the lens's blur.
+
+    Set-up: a photograph whose bright pixels are moved by a third of a pixel. Expectation: z of 1 where the state has
+    that field or effect, far above where it has not; the lens's blur comes back, and is not put after the sensor.
+    """
+    render, free = laid
+    level = np.array([0.0, 1.0])
+    fields = {"brightness": field([level], np.stack([0.3 * level, -0.3 * level]))} if kind == "law" else {}
+    of_sensor = {"saturation": {"sat": 0.5}} if kind == "blooming" else {}
+    sensor = partial(charge.arrived, effects=of_sensor, fields=fields)
+    light = cv2.GaussianBlur(render.laser / render.laser.max(), (0, 0), 0.8)
+    photographed(monkeypatch, 2e4 * sensor(light), 4)
+    found = comparing.compare_exposure(bowed, bowed_seen[0][0], render, replace(render, arrived=sensor), free)
+    assert found.after.z_std == pytest.approx(1, abs=4 / math.sqrt(2 * found.pixels) + 0.02)
+    assert found.before.z_std > 1.5
+    assert found.after.blur == pytest.approx(0.8, abs=0.02)
+
+
+def test_every_field_and_effect_that_may_be_found_is_rendered():
+    drawn, fields = gather()
+    assert fields == set(FORMS)
+    assert {e.name for e in effects.CATALOGUE} <= set(drawn)
+
+
+def test_a_law_is_rendered_like_an_effect(bowed, bowed_seen, tmp_path, monkeypatch):
+    """Rationale: what a diagnosis found, a law without a name too, is in the renders "after" and not in those before.
+
+    Set-up: the board's bow stated as a law of its height. Expectation: the states to be rendered are those of
+    amended.toml and of the file; with the law the settings that fit are near the stated ones, without it they are not.
+    """
+    y, z = np.meshgrid(*[np.linspace(-350.0, 350.0, 15)] * 2, indexing="ij")
+    height = 0.5e-3 * (BOW["bow_y"] * y**2 + BOW["bow_z"] * z**2)
+    law = Law(
+        "screen.height", "place on the board", {}, 0.9, 0.01,
+        np.stack([y.ravel(), z.ravel()]), np.zeros(y.size, int), height.ravel(),
+    )  # fmt: skip
+    built = problem.build(bowed, bowed_seen[0][:1], attached=False)
+    found = Diagnosis(
+        verdict="located", effects=(), classes=(), law=law, rms={}, held_out=None, pulls={}, location=None, limits={},
+        next=(), sigma_scale=1.0, correlation=0.0, setting_scale=1.0, probability={}, values={}, residuals=None,
+    )  # fmt: skip
+    amended = amend.amended(bowed, found)
+    assert set(amended.fields) == {"height"} and not amended.effects
+    result = diagnosing.DiagnosisResult(bowed, amended, found, built, (), (), "bench", tmp_path)
+    kept = {}
+
+    def keep(recording, observed, before, after, **_):
+        kept.update(before=before[0], after=after[0])
+        raise BenchsimError("kept")
+
+    monkeypatch.setattr(comparing, "compare", keep)
+    with pytest.raises(BenchsimError, match="kept"):
+        diagnosing.draw_pixels(result, tmp_path)
+    assert dict(kept["after"].recording.fields) == dict(amended.fields) and not kept["before"].recording.fields
+    prior = prior_sigma(bowed.uncertainty, reseated=False)[:7]
+    strain = {k: float(np.sum((to_vector(s.errors)[:7] / prior) ** 2)) for k, s in kept.items()}
+    assert strain["after"] < 20 < strain["before"]
 
 
 def test_a_render_that_is_not_to_be_had_costs_one_exposure(bowed, bowed_seen):
