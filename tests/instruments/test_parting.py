@@ -121,14 +121,20 @@ def test_a_halo_about_a_single_line_is_no_line():
     assert parting.parted(RECORDING, exposure, glaring, pose, 0.7, ridge) is None
 
 
-def test_a_gated_recording_shows_whether_one_facets_line_is_as_wide_as_stated():
+def test_gated_exposures_tell_random_leans_from_a_wobble_and_both_from_a_beam():
     seen = observables.simulate(RECORDING, seed=2)
     problem = build(RECORDING, seen, attached=False)
     assert isinstance(problem.further, further.Next)
-    gated = [c for c in further.candidates(RECORDING) if c.exposure.facet is not None]
+    gated = [c for c in further.candidates(RECORDING) if c.exposures[0].facet is not None]
     assert len(gated) == 1 and "gated to one facet" in gated[0].what
+    assert [e.facet for e in gated[0].exposures] == [0, 6]
     found = problem.further._one(gated[0])
-    assert not found.effect["tilt_rms"].any() and not found.effect["wob_c"].any()
-    assert np.abs(found.effect["astig0"]).max() > 0 and np.abs(found.effect["fcurv"]).max() > 0
+    tilts, wobble, beam = (found.effect[name] for name in ("tilt_rms", "wob_c", "astig0"))
+    half = len(tilts) // 2
+    # A lean of 1 mrad moves a line by some 4 mm; opposite facets that wobble move to opposite sides.
+    assert np.median(np.abs(tilts[:64])) > 2.0 and np.allclose(wobble[:64], 0.7 * tilts[:64])
+    assert np.allclose(wobble[half : half + 64], -0.7 * tilts[half : half + 64])
+    assert not tilts[64:half].any() and np.abs(beam[64:half]).max() > 0
+    assert np.linalg.eigvalsh(found.covariance)[0] > 0 and found.covariance.shape == (2 * half, 2 * half)
     already = replace(RECORDING, exposures=(replace(RECORDING.exposures[0], facet=2), *RECORDING.exposures[1:]))
-    assert not [c for c in further.candidates(already) if c.exposure.facet not in (None, 2)]
+    assert not [c for c in further.candidates(already) if "gated" in c.what]

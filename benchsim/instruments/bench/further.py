@@ -4,9 +4,10 @@ Each candidate is simulated like a recording without photographs (`simulation`) 
 What is left untouched keeps its nuisances, which is what makes a repeat or a rolled screen worth more than a new
 setting. Where the facets' lines part, they would part in an ungated recording too.
 
-Gated to one facet an exposure shows what a line's width is without the others: facets that lean differently leave it as
-stated, what is wrong with the beam or with every facet does not. Where that line lies says nothing by itself, for
-nobody knows by how much this facet leans: its centre line is not counted.
+Gated to one facet and then to the opposite one, exposures show how each leans against the mean of all, and how wide a
+single line is. By how much a facet leans nobody knows before; what is weighed is what is typical: under facets that
+differ at random both lean by one rms, as likely to the same side as not, under a wobble to opposite sides by its
+amplitude over √2. Signals are linear in the square of these here, in truth in themselves: for 1 mrad they agree.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Exposure, Recording
@@ -36,8 +38,8 @@ MOVE = 100.0
 SUNS_DEG = ((101.0, 50.0), (150.0, 30.0), (210.0, 65.0), (260.0, 35.0))
 """Azimuth and elevation of the laser for new settings [deg]."""
 
-OF_MANY = ("tilt_rms", "wob_c")
-"""How ungated facets differ: parameters that a single facet's width does not depend on."""
+OF_MANY = {"tilt_rms": (1.0, 1.0), "wob_c": (0.7, -0.7)}
+"""How ungated facets differ: lean of a facet and of the opposite one per mrad, typically."""
 
 ELSEWHERE_DEG = 15.0
 """A sun nearer than this to one that was recorded is nothing new."""
@@ -45,11 +47,11 @@ ELSEWHERE_DEG = 15.0
 
 @dataclass(frozen=True)
 class Candidate:
-    """An exposure that could be taken: a sentence, the exposure, the cameras with it, and the kinds that count."""
+    """What could be taken: a sentence, the exposures, the cameras with them, and the kinds that count."""
 
     kind: str
     what: str
-    exposure: Exposure
+    exposures: tuple[Exposure, ...]
     cameras: dict[str, Camera]
     kinds: str = "cwfgm"
 
@@ -96,14 +98,15 @@ class Next:
     def _one(self, c: Candidate) -> Further:
         recording = replace(
             self.recording,
-            exposures=(*self.recording.exposures, c.exposure),
+            exposures=(*self.recording.exposures, *c.exposures),
             cameras={**self.recording.cameras, **c.cameras},
         )
-        observed = self.simulate(recording, len(recording.exposures) - 1)
-        gated = c.exposure.facet is not None
+        first = len(self.recording.exposures)
+        observed = tuple(self.simulate(recording, first + k) for k in range(len(c.exposures)))
+        gated = c.exposures[0].facet is not None
         if self.parted and not gated:
-            observed = as_parted(observed, self.parted)
-        problem = self.build(recording, (observed,), against=self.against, attached=False)
+            observed = tuple(as_parted(o, self.parted) for o in observed)
+        problem = self.build(recording, observed, against=self.against, attached=False)
         problem = replace(problem, spread=self.spread)
         amplitudes = tuple(p for e in self.catalogue for p in e.parameters if not p.grid)
         shapes = {p.name: p.grid[len(p.grid) // 2] for e in self.catalogue for p in e.parameters if p.grid}
@@ -111,13 +114,15 @@ class Next:
         columns = linear.columns(problem, shapes, whole)
         rows = np.flatnonzero(np.isin(problem.kind, list(c.kinds)))
         n = len(problem.nuisances)
-        for i, p in enumerate(amplitudes):
-            if gated and p.power == 2 and p.name in OF_MANY:
-                columns[:, n + i] = 0.0
+        place = {p.name: n + i for i, p in enumerate(amplitudes)}
+        for name, leans in OF_MANY.items() if gated else ():
+            if name in place:
+                typical = np.array(leans)[problem.block] * (problem.kind == "c")
+                columns[:, place[name]] = typical * columns[:, place["pyr"]]
         return Further(
             c.kind,
             c.what,
-            problem.covariance[0][np.ix_(rows, rows)],
+            block_diag(*problem.covariance)[np.ix_(rows, rows)],
             {p.name: columns[rows, i] for i, p in enumerate(problem.nuisances)},
             {p.name: p for p in problem.nuisances},
             {p.name: columns[rows, n + i] for i, p in enumerate(amplitudes)},
@@ -132,20 +137,20 @@ def candidates(recording: Recording) -> tuple[Candidate, ...]:
         Candidate(
             "recording",
             f"repeat setting {last.setting} untouched, {LATER / 3600:g} hours later",
-            replace(base, time=last.time + LATER),
+            (replace(base, time=last.time + LATER),),
             {},
         ),
         Candidate(
             "recording",
             f"roll the screen by 180° and record setting {last.setting} again, mirror and laser untouched",
-            replace(base, screen_roll=last.screen_roll + np.pi),
+            (replace(base, screen_roll=last.screen_roll + np.pi),),
             {},
         ),
         Candidate(
             "recording",
             f"move the screen by {MOVE:g} mm toward the mirror and record setting {last.setting} again, mirror and "
             "laser untouched",
-            replace(base, screen_shift=last.screen_shift + MOVE),
+            (replace(base, screen_shift=last.screen_shift + MOVE),),
             {},
         ),
     ]
@@ -153,10 +158,10 @@ def candidates(recording: Recording) -> tuple[Candidate, ...]:
         out.append(
             Candidate(
                 "recording",
-                f"record setting {last.setting} again gated to one facet, mirror and laser untouched",
-                replace(base, facet=0),
+                f"record setting {last.setting} again gated to one facet and then to the opposite one, mirror and "
+                "laser untouched",
+                (replace(base, facet=0), replace(base, facet=recording.mirror.facets // 2)),
                 {},
-                "wfm",
             )
         )
     name, moved = _moved(recording.cameras[last.camera])
@@ -166,7 +171,7 @@ def candidates(recording: Recording) -> tuple[Candidate, ...]:
             "recording",
             f"photograph setting {last.setting} again with camera {last.camera} moved to ({where}) mm, all else "
             "untouched",
-            replace(base, camera=name),
+            (replace(base, camera=name),),
             {name: moved},
         )
     )
@@ -174,7 +179,7 @@ def candidates(recording: Recording) -> tuple[Candidate, ...]:
         Candidate(
             "observable",
             f"photograph the board's marks, laser off, with camera {last.camera} moved to ({where}) mm",
-            replace(base, camera=name),
+            (replace(base, camera=name),),
             {name: moved},
             "m",
         )
@@ -189,7 +194,7 @@ def candidates(recording: Recording) -> tuple[Candidate, ...]:
                 "recording",
                 f"record a new setting, laser at azimuth {np.degrees(azimuth):.0f}°, elevation "
                 f"{np.degrees(elevation):.0f}°, mirror where setting {last.setting} has it",
-                replace(base, setting="next", laser_azimuth=float(azimuth), laser_elevation=float(elevation)),
+                (replace(base, setting="next", laser_azimuth=float(azimuth), laser_elevation=float(elevation)),),
                 {},
             )
         )
