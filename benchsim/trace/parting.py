@@ -199,7 +199,9 @@ def comb(q: Array, light: Array, sigma: Array, shape: tuple[Array, Array], cells
     free = np.concatenate([lit, [len(cells), len(cells) + 1]])
     covariance = np.zeros((len(cells), len(cells)))
     inverse = np.linalg.pinv(design[:, free].T @ design[:, free], hermitian=True)
-    covariance[np.ix_(lit, lit)] = inverse[: len(lit), : len(lit)] / total**2
+    # In ``sigma`` there may be what the shape is granted: what is left says how large errors are.
+    scatter = float(left**2) / max(len(q) - len(free), 1)
+    covariance[np.ix_(lit, lit)] = scatter * inverse[: len(lit), : len(lit)] / total**2
     return Comb(cells, shares / total, covariance, float(left**2))
 
 
