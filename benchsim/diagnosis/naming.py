@@ -208,7 +208,7 @@ def _search(
         pick = max(left, key=lambda e: table.log_z[e])
         if len(done) >= refits:
             about = done[table.source[pick]]
-            if table.log_z[pick] <= best or not about.fit.converged or refit.misses(context, about):
+            if table.log_z[pick] <= best or refit.misses(context, about):
                 break
         if len(done) == 1 and refit.misses(context, null):
             pick = starts.together(context) or pick
@@ -217,7 +217,8 @@ def _search(
         solved = _refit(context, catalogue, pick, source, done, table.log_z.get(pick, -np.inf))
         done[pick] = solved
         table.log_z[pick], table.source[pick] = solved.fit.log_evidence, source.fit.effects
-        if solved.fit.converged:
+        # A fit that came near says what it could do without, though nothing rests on it while it has not converged.
+        if solved.fit.converged or not refit.misses(context, solved):
             if refit.misses(context, null) and solved.fit.log_evidence == max(
                 s.fit.log_evidence for s in done.values()
             ):

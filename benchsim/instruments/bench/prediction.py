@@ -7,6 +7,7 @@ Lists of values (`Predict.many`) are worked out together, whatever their blocks.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, overload
@@ -35,6 +36,13 @@ TOGETHER = 64
 """Curves that are held against the data at once, which bounds the memory."""
 
 SHAPES = ("beam_c4", "beam_plus", "beam_cross")
+QUARTIC = 0.08
+"""Largest quartic term, four sigma of its prior, which is approached as a tanh: with larger ones the light grows again
+two radii off the axis, as no beam does, and a fit that misses something would sit there."""
+
+LEAST = 0.05
+"""Smallest diameter and divergence over the stated ones."""
+
 BEAM = ("beam_diameter", "divergence", *SHAPES)
 INTRINSICS = ("focal", "principal_u", "principal_v", "k1")
 UNITS = tuple("mm" if "position" in name else "mrad" for name in NAMES)
@@ -219,6 +227,7 @@ class Predict:
     def _case(self, a: Asked) -> tuple[Recording, Exposure, SettingErrors, tuple[float, float, float]]:
         b = self.blocks[a.block]
         c4, plus, cross = (a.values.get(name, 0.0) for name in SHAPES)
+        c4 = QUARTIC * math.tanh(c4 / QUARTIC)
         return a.truth, a.truth.exposures[b.observed.index], errors(a.values, b.setting), (c4, plus, cross)
 
     def beyond(
@@ -278,7 +287,8 @@ class Predict:
             if name in values and self.owners[name] in added:
                 added[self.owners[name]][name] = values[name]
         laser = self.recording.laser
-        wide, angle = values.get("beam_diameter", 0.0), values.get("divergence", 0.0)
+        # What a fit that is far off asks for may be no beam at all.
+        wide, angle = (max(values.get(name, 0.0), LEAST - 1) for name in BEAM[:2])
         if wide or angle:
             laser = replace(
                 laser, beam_diameter=laser.beam_diameter * (1 + wide), divergence=laser.divergence * (1 + angle)
