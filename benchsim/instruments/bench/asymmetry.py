@@ -37,7 +37,7 @@ from benchsim.instruments.bench import chain
 from benchsim.instruments.bench.effects import PHYSICS_OF
 from benchsim.instruments.bench.observed import Observed
 from benchsim.instruments.bench.pixels import Pixels, about_trace, free_board
-from benchsim.instruments.bench.prediction import FAR, SHAPES, Predict, errors
+from benchsim.instruments.bench.prediction import FAR, Predict, beam_shape, errors
 from benchsim.instruments.bench.probable import probable
 from benchsim.rays.cross_section import cross_sections
 from benchsim.trace.band import smooth_curve
@@ -207,8 +207,7 @@ def stands(predict: Predict, block: int, values: Values) -> Stands | None:
     if not physics.beam or truth.effects.get("second-surface", {}).get("glass", 0.0):
         return None
     truth = replace(truth, physics=physics)
-    c4, plus, cross = (values.get(name, 0.0) for name in SHAPES)
-    return Stands(truth, truth.exposures[b.observed.index], errors(values, b.setting), (c4, plus, cross))
+    return Stands(truth, truth.exposures[b.observed.index], errors(values, b.setting), beam_shape(values))
 
 
 def _seen(o: Observed, pixels: Pixels, scale: float) -> Seen:

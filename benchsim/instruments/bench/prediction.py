@@ -226,9 +226,7 @@ class Predict:
 
     def _case(self, a: Asked) -> tuple[Recording, Exposure, SettingErrors, tuple[float, float, float]]:
         b = self.blocks[a.block]
-        c4, plus, cross = (a.values.get(name, 0.0) for name in SHAPES)
-        c4 = QUARTIC * math.tanh(c4 / QUARTIC)
-        return a.truth, a.truth.exposures[b.observed.index], errors(a.values, b.setting), (c4, plus, cross)
+        return a.truth, a.truth.exposures[b.observed.index], errors(a.values, b.setting), beam_shape(a.values)
 
     def beyond(
         self, values: Mapping[str, float], block: int, truth: Recording, curve: Curve, shift: Array | None = None
@@ -360,6 +358,12 @@ def _data(seen: Sequence[Seen]) -> list[Array]:
         flux = flux - flux.mean() + s.values.get(f"{o.name}.gain", 0.0)
         out.append(np.concatenate([s.block.offset - d[:n], wide, flux, m]))
     return out
+
+
+def beam_shape(values: Mapping[str, float]) -> tuple[float, float, float]:
+    """The beam's profile as `rays.predict` takes it, from the nuisances."""
+    c4, plus, cross = (values.get(name, 0.0) for name in SHAPES)
+    return QUARTIC * math.tanh(c4 / QUARTIC), plus, cross
 
 
 def errors(values: Mapping[str, float], setting: tuple[str, ...]) -> SettingErrors:

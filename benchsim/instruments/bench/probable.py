@@ -19,7 +19,7 @@ from benchsim.diagnosis.linear import columns
 from benchsim.diagnosis.problem import Parameter, Problem
 from benchsim.instruments.bench import chain
 from benchsim.instruments.bench.effects import PHYSICS_OF
-from benchsim.instruments.bench.prediction import SHAPES, Predict, errors
+from benchsim.instruments.bench.prediction import Predict, beam_shape, errors
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -66,8 +66,7 @@ def state(predict: Predict, block: int, values: Values) -> State:
     rotation, translation = seen.rotation, seen.translation
     if chain.active(truth) or camera is not None:
         rotation, translation, _ = chain.true_pose(truth, seen, camera)
-    c4, plus, cross = (values.get(name, 0.0) for name in SHAPES)
-    return State(truth, errors(values, b.setting), camera or seen.camera, rotation, translation, (c4, plus, cross))
+    return State(truth, errors(values, b.setting), camera or seen.camera, rotation, translation, beam_shape(values))
 
 
 def probable(
