@@ -48,7 +48,7 @@ from benchsim.trace.noise import centre_noise, spline_basis
 from benchsim.trace.parting import light_across
 from benchsim.trace.pose import Pose, join, solve_pose
 
-__all__ = ["Observed", "observe", "observe_one", "reduce", "simulate"]
+__all__ = ["Observed", "observe", "observe_one", "simulate"]
 
 Array = NDArray[np.float64]
 
@@ -125,11 +125,11 @@ def observe_one(recording: Recording, index: int) -> Observed:
     pose = solve_pose(camera, marks)
     blur = float(np.median(marks.blur))
     measured = measure(photograph, dark, pose, recording.screen, blur)
-    seen = reduce(recording, index, marks, pose, measured)
+    centres = _centres(marks, pose)
+    line = _main_ridge(measured, centres, pose)
+    seen = _reduced(recording, index, centres, line, blur)
     if not measured.linear:
         return seen
-    line = trace.only_ridge(measured)
-    line = replace(line, pose_mm=line.pose_mm * _rescaled(_centres(marks, pose), pose))
     across = light_across(photograph, dark, pose, recording.screen, blur, line)
     found = parted(recording, exposure, across, pose, blur, line)
     return seen if found is None else _of_all_facets(seen, found)
@@ -153,13 +153,16 @@ def _of_all_facets(seen: Observed, found: Parted) -> Observed:
     )
 
 
-def reduce(recording: Recording, index: int, marks: MarkObservations, pose: Pose, measured: trace.Trace) -> Observed:
-    """Data of marks, pose (intrinsics held) and trace of one exposure; see `observe_one`."""
+def _main_ridge(measured: trace.Trace, centres: _Centres, pose: Pose) -> trace.Trace:
+    """The trace's main ridge; the pose's own covariance counts a bow as noise of the marks, which is mended here."""
     line = trace.only_ridge(measured)
-    centres = _centres(marks, pose)
+    return replace(line, pose_mm=line.pose_mm * np.sqrt(centres.scale / pose.chi2_per_dof))
+
+
+def _reduced(recording: Recording, index: int, centres: _Centres, line: trace.Trace, blur: float) -> Observed:
+    """Data of the marks' centres and of the main ridge."""
     stated = rays.predict(nominal(recording), recording.exposures[index], width=False)
-    rescaled = replace(line, pose_mm=line.pose_mm * _rescaled(centres, pose))
-    binned = bin_trace(line.s_mm, trace.covariance(rescaled), bins=CENTRE_BINS)
+    binned = bin_trace(line.s_mm, trace.covariance(line), bins=CENTRE_BINS)
     distance, feet = signed_distance(stated, line.points)
     points = beside(stated, binned.weights @ feet, binned.weights @ distance)
     shape = _shape(line, stated, distance, feet) if line.linear else no_shape()
@@ -173,7 +176,7 @@ def reduce(recording: Recording, index: int, marks: MarkObservations, pose: Pose
         view=centres.view,
         marks=centres.residual,
         marks_covariance=centres.covariance,
-        blur=float(np.median(marks.blur)),
+        blur=blur,
         notes=notes,
         **shape,
     )
@@ -186,11 +189,6 @@ class _Centres:
     covariance: Array
     scale: float
     notes: tuple[tuple[str, str], ...]
-
-
-def _rescaled(centres: _Centres, pose: Pose) -> float:
-    """What the pose's errors are to be multiplied with: its own covariance counts a bow as noise of the marks."""
-    return float(np.sqrt(centres.scale / pose.chi2_per_dof))
 
 
 def _centres(marks: MarkObservations, pose: Pose) -> _Centres:
