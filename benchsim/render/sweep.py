@@ -22,6 +22,10 @@ Array = NDArray[np.float64]
 MARGIN = 10.0
 """Light that falls this far beyond the board's edge is traced too [mm]."""
 
+FOCUSED = 1 / 16
+"""Smallest ν of `diffraction` over its largest. Light that comes to a focus on the board has ν = 0 there and spreads
+over all h'; what little of a bent beam is nearer to its focus is spread as at this ν."""
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -136,13 +140,17 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement, lenses
             pad = 0.01 * (high - low) + 1e-4 * max(abs(low), abs(high))
             return low - pad, high + pad
 
+        def magnitude(x: Array) -> tuple[float, float]:
+            low, high = span(x)
+            return max(low, FOCUSED * high), high
+
         if not seen.any():
             raise BenchsimError(
                 f"{recording.path}: in exposure {exposure.name} the laser's beam misses the mirror; check "
                 "mirror_position_mm and the laser's angles"
             )
         bends = (0.0, 0.0) if about.plain else span(gamma)
-        table = pattern(mirror.height, alpha, span(nu), span(beta), gamma_range=bends)
+        table = pattern(mirror.height, alpha, magnitude(nu), span(beta), gamma_range=bends)
     return Sweep(
         optics=about,
         middle=middle,

@@ -209,14 +209,16 @@ def test_a_free_field_is_the_same_in_both_rooms(name, small, large):
         {"facet-curvature": {"fcurv": 0.2}},
         {"astigmatism": {"astig0": 0.3, "astig45": -0.2}},
         {"coma": {"coma_v": 0.05}},
+        {"coma": {"coma_u": 0.1, "coma_v": 0.1}},
         {"screen-bow": {"bow_y": 0.2, "bow_z": -0.1}},
         {"vibration": {"amp": 0.3}},
     ],
-    ids=lambda own: next(iter(own)),
+    ids=str,
 )
 def test_with_diffraction(own):
     """Rationale: what bends the light over the facet's height changes the Fresnel pattern, in `render` by a table of
-    patterns, in `rays` by an integral over the facet of its own."""
+    patterns, in `rays` by an integral over the facet of its own. The larger coma brings part of the beam to a focus on
+    the board."""
     assert agree(own, diffraction=True) > 5
 
 
