@@ -13,19 +13,22 @@ steps and the width of posteriors rest on this. Not for predictions that bend to
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.linear import predictions, value_of, whiten
+from benchsim.diagnosis.linear import fit_value, predictions, value_of, whiten
 from benchsim.diagnosis.problem import Parameter, Problem
 
 Array = NDArray[np.float64]
 
 STEP = 1.0
 """Of the differences, in prior sigmas: what is wanted is the behaviour over a few of them."""
+
+AMPLITUDE = 0.1
+"""The same of amplitudes, about a point."""
 
 FLAT = 0.05
 """A nuisance that bends the data by less than this many sigma over one prior sigma, alone or as all others are moved by
@@ -95,6 +98,70 @@ def measure(problem: Problem) -> Curvature:
         mixed = _finite(np.asarray(f) - plain[b] - steps[b][:, i] - steps[b][:, j]) / STEP**2
         second[b][:, i, j] = second[b][:, j, i] = mixed
     return Curvature(first, tuple(curved), tuple(second), plain, tuple(steps))
+
+
+def again(
+    problem: Problem, about: Curvature, at: Mapping[str, float], parameters: Sequence[Parameter]
+) -> tuple[Curvature, dict[str, tuple[Array, Array]], int]:
+    """Second derivatives about another point.
+
+    Parameters
+    ----------
+    problem : Problem
+    about : Curvature
+        Of the stated settings; what it says of them is kept but for ``second``.
+    at : mapping of parameter → value
+        The point, in the parameters' units.
+    parameters : sequence of Parameter
+        Amplitudes.
+
+    Returns
+    -------
+    curvature : Curvature
+    changes : dict
+        M (n, p) of each amplitude by its name, and its bend (n,).
+    count : int
+        Predictions made.
+    """
+    nuisances, blocks = problem.nuisances, range(len(problem.names))
+    unit = {a.name: AMPLITUDE * a.sigma**a.power for a in parameters}
+
+    def moved(b: int, settings: Mapping[int, float], amplitudes: Mapping[str, float]) -> dict[str, float]:
+        out = dict(at)
+        for i, s in settings.items():
+            n = nuisances[about.curved[b][i]]
+            out[n.name] = at.get(n.name, 0.0) + s * STEP * n.sigma
+        for a in parameters:
+            if a.name in amplitudes:
+                q = fit_value(a, at[a.name]) + amplitudes[a.name] * unit[a.name]
+                out[a.name] = value_of(a, q)
+        return out
+
+    each = [range(len(about.curved[b])) for b in blocks]
+    tasks: list[tuple[int, dict[int, float], dict[str, float]]] = [(b, {}, {}) for b in blocks]
+    tasks += [(b, {i: sign}, {}) for b in blocks for i in each[b] for sign in (1.0, -1.0)]
+    tasks += [(b, {i: 1.0, j: 1.0}, {}) for b in blocks for i in each[b] for j in range(i)]
+    for name in unit:
+        tasks += [(b, {}, {name: s}) for b in blocks for s in (1.0, 2.0)]
+        tasks += [(b, {i: 1.0}, {name: 1.0}) for b in blocks for i in each[b]]
+    found = predictions(problem, [moved(*t) for t in tasks], [b for b, _, _ in tasks])
+    known = {(b, *s.items(), *q.items()): np.asarray(f) for (b, s, q), f in zip(tasks, found, strict=True)}
+    second = [np.zeros_like(s) for s in about.second]
+    changes = {name: (np.zeros_like(about.first), np.zeros(len(problem.data))) for name in unit}
+    for b in blocks:
+        plain, up, rows = known[(b,)], {i: known[b, (i, 1.0)] for i in each[b]}, problem.rows(b)
+        for i in each[b]:
+            second[b][:, i, i] = _finite(up[i] + known[b, (i, -1.0)] - 2 * plain) / STEP**2
+            for j in range(i):
+                both = _finite(known[b, (i, 1.0), (j, 1.0)] - up[i] - up[j] + plain) / STEP**2
+                second[b][:, i, j] = second[b][:, j, i] = both
+        for name, (m, bend) in changes.items():
+            more = known[b, (name, 1.0)]
+            bend[rows] = _finite(known[b, (name, 2.0)] - 2 * more + plain) / unit[name] ** 2
+            for i in each[b]:
+                change = _finite(known[b, (i, 1.0), (name, 1.0)] - more - up[i] + plain)
+                m[rows, about.curved[b][i]] = change / (STEP * unit[name])
+    return replace(about, second=tuple(second)), changes, len(tasks)
 
 
 def _with_others(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +106,24 @@ class Context:
         """`linear.predict_all`, counted."""
         self.count.predictions += len(self.problem.names)
         return linear.predict_all(self.problem, at)
+
+    def bending_at(self, at: Mapping[str, float], effects: Sequence[Effect]) -> Context:
+        """The same for one hypothesis, with second derivatives measured about a point of it.
+
+        Effects with shapes keep what was measured about the stated settings, and so do those that are there as a whole.
+        """
+        if self.curvature is None:
+            return self
+        own = {
+            a.name: (a, tuple(sorted(evidence.fixed(e).items())))
+            for e in effects
+            if not e.whole and not evidence.shapes(e)
+            for a in evidence.amplitudes(e)
+        }
+        found, changes, count = curvature.again(self.problem, self.curvature, at, [a for a, _ in own.values()])
+        self.count.predictions += count
+        mixed = self.mixed | {(name, own[name][1]): change for name, change in changes.items()}
+        return replace(self, curvature=found, bent=[], mixed=mixed)
 
     def second(self) -> tuple[Array, ...]:
         """The curvature's second derivatives, whitened, per block."""

@@ -49,8 +49,9 @@ LONE = 7
 """Refits, the null included, in which single effects are tried first where the null misses the data."""
 
 RIVALS, NEARBY = 3, 6.0
-"""Most sets with one effect exchanged that are refitted after the best, and the separation in sigma up to which: about
-a null that misses the data the right one of two that look alike may have been weighed wrong and never tried."""
+"""Most sets with one effect exchanged that are refitted after the best, and the separation in sigma up to which: where
+the null misses the data or a refit found more than was foretold, the right one of two that look alike may have been
+weighed wrong and never tried."""
 
 BORNE_OUT = 1.0
 """Difference in ln Z up to which a linearisation about a good fit and the refit it foretold check each other."""
@@ -195,6 +196,7 @@ def _search(
     log_z[()] = null.fit.log_evidence
     table = _Table(log_z, dict.fromkeys(log_z, ()))
     done: dict[Effects, Solved] = {(): null}
+    foretold = not refit.misses(context, null)
     while len(done) < refits + MORE:
         best = _best(done)
         left = [e for e in table.log_z if e not in done]
@@ -214,8 +216,10 @@ def _search(
             pick = starts.together(context) or pick
         source = done[table.source.get(pick, ())]
         tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * len(done) / refits)
-        solved = _refit(context, catalogue, pick, source, done, table.log_z.get(pick, -np.inf))
+        expected = table.log_z.get(pick, -np.inf)
+        solved = _refit(context, catalogue, pick, source, done, expected)
         done[pick] = solved
+        foretold &= solved.fit.log_evidence < expected + BORNE_OUT
         table.log_z[pick], table.source[pick] = solved.fit.log_evidence, source.fit.effects
         # A fit that came near says what it could do without, though nothing rests on it while it has not converged.
         if solved.fit.converged or not refit.misses(context, solved):
@@ -226,7 +230,7 @@ def _search(
                 catalogue = screen.expand(context.problem, solved.fit.values)
                 white = context.whiten(catalogue.columns)
             _weigh_again(context, catalogue, white, solved, table, done)
-    if refit.misses(context, null):
+    if not foretold:
         _challenge(context, catalogue, null, table, done)
     return table, done
 
@@ -325,16 +329,16 @@ def _refit(
             shape += [place[p.name] for p in evidence.shapes(e)]
         nuisance = source.point.nuisance if first == 0 else np.zeros(lin.nuisance.shape[1])
         points.append(Point(nuisance, np.array(amplitude), np.array(shape)))
-    known, own, p, hold = _nearest(effects, done), None, lin.nuisance.shape[1], False
+    known, own, p, hold = _nearest(effects, done), None, lin.nuisance.shape[1], 0
     if refit.misses(context, source):
         # Nuisances that were bent to hide an effect are further from the truth than as stated.
         plain = replace(points[0], nuisance=np.zeros(p))
-        begun = replace(plain, amplitude=starts.scanned(context, h, source, plain.amplitude))
-        hold = not np.array_equal(begun.amplitude, plain.amplitude)
-        points = [begun, plain] if hold else [plain]
+        begun = [replace(plain, amplitude=q) for q in starts.scanned(context, h, source, plain.amplitude)]
+        begun = [b for b in begun if not np.array_equal(b.amplitude, plain.amplitude)]
+        points, hold = [*begun, plain], len(begun)
         known = known if context.curvature is None else Known(context.curvature.first, np.zeros(p))
         if hold and any(e.whole for e in h.effects):
-            known = Known(context.nuisance_columns(values(context.problem, h, begun)), begun.nuisance)
+            known = Known(context.nuisance_columns(values(context.problem, h, points[0])), points[0].nuisance)
     elif not own_effects:
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
         own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])

@@ -33,6 +33,7 @@ from benchsim.diagnosis.descent import (
     normal_form,
     point_of,
     prior_of,
+    promised_by,
     sizes_of,
     step_of,
     still,
@@ -48,8 +49,12 @@ Array = NDArray[np.float64]
 AGREE = 0.05
 """Relative error of the nuisances' columns that is let pass, in a random combination of one posterior sigma each."""
 
-ROUNDS = 8
-"""Descents with derivatives renewed in between."""
+ROUNDS, SETTLED = 16, 4
+"""Descents with derivatives renewed in between, and those in which scale and term may change."""
+
+STALLED = 0.5
+"""Part of what the last derivatives promised that the next promise too: then the settings' columns are made anew, and
+how they bend."""
 
 SLOW = 0.1
 """Part of a misfit beyond doubt that each of them has to take away: a hypothesis that is wrong by far is not followed
@@ -59,6 +64,12 @@ through every valley."""
 def misses(context: Context, solved: Solved) -> bool:
     """Whether a fit lies beyond what noise explains, so that its point says little about other hypotheses."""
     return excess(context.whiten(solved.residual)) > 0
+
+
+def _exact(context: Context, h: Hypothesis, theta: Array) -> Known:
+    p = len(context.problem.nuisances)
+    at = values(context.problem, h, point_of(theta, p, len(h.amplitudes)))
+    return Known(context.nuisance_columns(at), theta[:p].copy(), sizes_of(context, h, theta))
 
 
 def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: Array) -> Known:
@@ -90,7 +101,7 @@ def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: 
     stated = context.whiten(known.columns @ step / unit)
     if np.linalg.norm(wrong) <= AGREE * max(float(np.linalg.norm(stated)), 1.0):
         return known
-    return Known(context.nuisance_columns(at), theta[:p].copy(), sizes_of(context, h, theta))
+    return _exact(context, h, theta)
 
 
 def about(context: Context, h: Hypothesis, point: Point, residual: Array, known: Known, own: Array) -> Linear:
@@ -132,7 +143,7 @@ def fit(
     own: Array | None = None,
     log_prior: float = 0.0,
     rounds: int | None = None,
-    hold: bool = False,
+    hold: int = 0,
 ) -> Solved:
     """Fit a hypothesis.
 
@@ -150,9 +161,10 @@ def fit(
         Of the presence of its effects.
     rounds : int, optional
         Most descents; default `ROUNDS`.
-    hold : bool
-        Whether a descent of the nuisances alone comes first. Amplitudes that start in the right valley would otherwise
-        leave it while the noise is taken large for the sake of settings that are still far off.
+    hold : int
+        From so many of the starts a descent of the nuisances alone comes first, and the one that ends lowest is
+        followed. Amplitudes that start in the right valley would otherwise leave it while the noise is taken large for
+        the sake of settings that are still far off.
 
     Returns
     -------
@@ -181,22 +193,31 @@ def fit(
     prior = prior_of(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
     state = begin(context, h, prior, starts[0])
     if hold:
-        state = begin(context, h, prior, point_of(held(context, h, prior, state, known).theta, p, k))
-        own = columns_at(state.theta)
-    converged, checked, before = False, 0, np.inf
+        begun = [held(context, h, prior, begin(context, h, prior, s), known).theta for s in starts[:hold]]
+        state = min((begin(context, h, prior, point_of(t, p, k)) for t in begun), key=lambda s: s.cost)
+        own, starts = columns_at(state.theta), starts[hold - 1 :]
+    converged, checked, before, stalled, promise = False, 0, np.inf, False, np.inf
     for turn in range(rounds or ROUNDS):
         state, own = descend(context, h, prior, state, known, own, columns_at)
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
-        known = _fresh(context, h, state.theta, known, s)
+        if stalled:
+            known = _exact(context, h, state.theta)
+            context = context.bending_at(values(problem, h, point_of(state.theta, p, k)), h.effects)
+        else:
+            known = _fresh(context, h, state.theta, known, s)
         now = chosen(state.theta, state.residual, known, own)
         # Between two neighbours on the grid that are as probable the choice could swing for ever; any point near the
         # peak will do, since the evidence sums over the grid.
-        if now != hyper and turn < ROUNDS // 2:
+        if now != hyper and turn < SETTLED:
             hyper = now
             prior = prior_of(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
             state = begin(context, h, prior, point_of(state.theta, p, k))
         normal = normal_form(white(known.columns, own), context.whiten(state.residual), prior, state.theta)
-        promise = step_of(normal, prior, state.theta, p)[1]
+        promised, promise = promise, step_of(normal, prior, state.theta, p)[1]
+        if stalled:
+            # Where the data bend strongly, derivatives of first order promise what cannot be had.
+            promise = min(promise, promised_by(context, h, prior, state, known, own))
+        stalled = p > 0 and promise > STALLED * promised
         converged = promise < still(context, state.residual)
         if not converged:
             missed, before = before, excess(context.whiten(state.residual))

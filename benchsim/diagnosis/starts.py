@@ -32,20 +32,25 @@ curvature."""
 SCANNED = (0.0, 0.2, 0.5, 1.0, 1.6, 2.2)
 """Amplitudes, in prior sigmas, from which a fit is begun where what it grows from misses the data."""
 
+MEASURED = 0.5
+"""Amplitude, in prior sigmas, at which its effect on the settings' columns is measured for that."""
+
 PLACES = 40
 """Shapes that are tried about a node, and again about the best of them."""
 
 
-def scanned(context: Context, h: Hypothesis, source: Solved, amplitude: Array) -> Array:
-    """Amplitudes, in fit space, from which to start where a fit misses the data.
+def scanned(context: Context, h: Hypothesis, source: Solved, amplitude: Array) -> list[Array]:
+    """Amplitudes, in fit space, from which to start where a fit misses the data; the most promising first.
 
     A width answers to a defocus of either sign alike, so that a descent from 0 may end in the wrong valley. Amplitudes
     of effects that the fit lacks are tried over their plausible range, with exact predictions about the stated
-    settings, whose linearised errors are integrated with noise `AFAR` times larger.
+    settings, whose errors are integrated to first order with the columns that they have beside the effect (light that
+    is bent across the beam is bent otherwise where the beam is set otherwise). Noise is taken `AFAR` times larger, which
+    covers what first order leaves; where another amplitude is best with the noise as it is, that one is a start too.
     """
     if context.curvature is None:
-        return amplitude
-    out, first = amplitude.copy(), 0
+        return [amplitude]
+    far, near, first = amplitude.copy(), amplitude.copy(), 0
     at = {q.name: source.fit.values[q.name] for e in h.effects if e.name in source.fit.effects for q in e.parameters}
     for e in h.effects:
         own = evidence.amplitudes(e)
@@ -53,7 +58,7 @@ def scanned(context: Context, h: Hypothesis, source: Solved, amplitude: Array) -
         if e.name in source.fit.effects or evidence.shapes(e) or len(own) > 2:
             continue
         if e.whole:
-            out[mine] = 1.0
+            far[mine] = near[mine] = 1.0
             continue
         axes = [np.array(SCANNED if evidence.kind(a) else (*(-x for x in SCANNED[:0:-1]), *SCANNED)) for a in own]
         points = [q * np.array([a.sigma**a.power for a in own]) for q in map(np.array, product(*axes))]
@@ -61,10 +66,15 @@ def scanned(context: Context, h: Hypothesis, source: Solved, amplitude: Array) -
             {**at, **evidence.fixed(e), **{a.name: linear.value_of(a, x) for a, x in zip(own, q, strict=True)}}
             for q in points
         ]
-        cost = misfits(context, values)
-        cost += [float(sum((x / a.sigma**a.power) ** 2 for a, x in zip(own, q, strict=True))) for q in points]
-        out[mine] = points[int(np.argmin(cost))]
-    return out
+        changes = [context.change(a, MEASURED * a.sigma**a.power, dict(evidence.fixed(e))) for a in own]
+        beside = [
+            sum((x * c[0] for x, c in zip(q, changes, strict=True) if c is not None), context.curvature.first)
+            for q in points
+        ]
+        prior = [float(sum((x / a.sigma**a.power) ** 2 for a, x in zip(own, q, strict=True))) for q in points]
+        for out, cost in zip((far, near), misfits(context, values, beside, (AFAR, 1.0)), strict=True):
+            out[mine] = points[int(np.argmin(cost + prior))]
+    return [far] if np.array_equal(far, near) else [far, near]
 
 
 def from_afar(context: Context, about: Curvature, residuals: Array) -> Linear:
@@ -74,21 +84,39 @@ def from_afar(context: Context, about: Curvature, residuals: Array) -> Linear:
     return Linear(white[:, 0], nuisance, scaled, white, (), context.problem.block, 0.0)
 
 
-def misfits(context: Context, values: Sequence[Mapping[str, float]]) -> Array:
-    """χ² of exact predictions about the stated settings, whose errors are integrated to first order, (m,).
+def misfits(
+    context: Context, values: Sequence[Mapping[str, float]], beside: Sequence[Array], noises: Sequence[float]
+) -> list[Array]:
+    """χ² of exact predictions about the stated settings, whose errors are integrated to first order.
 
-    The noise is taken `AFAR` times larger, which covers what first order leaves of those errors.
+    Parameters
+    ----------
+    context : Context
+    values : sequence of m mappings
+    beside : sequence of m (n, p) arrays
+        The settings' columns there, per prior sigma.
+    noises : sequence of float
+        By how much noise is enlarged.
+
+    Returns
+    -------
+    list of (m,) arrays
+        For each of ``noises``.
     """
-    problem, about = context.problem, context.curvature
-    if about is None or not len(values):
-        return np.zeros(len(values))
+    problem = context.problem
     blocks = range(len(problem.names))
     found = linear.predictions(problem, [v for v in values for _ in blocks], [b for _ in values for b in blocks])
-    each = [np.concatenate(found[i : i + len(blocks)]) for i in range(0, len(found), len(blocks))]
-    far = from_afar(context, about, problem.data[:, None] - np.column_stack(each))
-    white = np.nan_to_num(far.effect, nan=1e6 / AFAR)
+    scaled = np.array([n.scaled for n in problem.nuisances], bool)
     middle = float(context.scales[len(context.scales) // 2])
-    return np.array(np.diag(linear.marginal(replace(far, residual=white[:, 0]), white, middle).gram))
+    out = np.zeros((len(noises), len(values)))
+    for i, columns in enumerate(beside):
+        predicted = np.concatenate(found[i * len(blocks) : (i + 1) * len(blocks)])
+        white = np.nan_to_num(context.whiten(np.column_stack([problem.data - predicted, columns])), nan=1e6)
+        for j, s in enumerate(noises):
+            residual = white[:, :1] / s
+            lin = Linear(residual[:, 0], white[:, 1:] / s, scaled, residual, (), problem.block, 0.0)
+            out[j, i] = linear.marginal(lin, residual, middle).gram[0, 0]
+    return list(out)
 
 
 def together(context: Context) -> Effects:
@@ -100,8 +128,10 @@ def together(context: Context) -> Effects:
     whole = [e for e in context.problem.catalogue if e.whole]
     sets = [chosen for n in range(len(whole) + 1) for chosen in combinations(whole, n)]
     values = [{a.name: 1.0 for e in chosen for a in evidence.amplitudes(e)} for chosen in sets]
-    best = sets[int(np.argmin(misfits(context, values)))] if whole else ()
-    return tuple(e.name for e in best)
+    if not whole or context.curvature is None:
+        return ()
+    (cost,) = misfits(context, values, [context.curvature.first] * len(sets), [AFAR])
+    return tuple(e.name for e in sets[int(np.argmin(cost))])
 
 
 def placed(
