@@ -196,26 +196,27 @@ def _search(
     log_z[()] = null.fit.log_evidence
     table = _Table(log_z, dict.fromkeys(log_z, ()))
     done: dict[Effects, Solved] = {(): null}
-    foretold = not refit.misses(context, null)
-    while len(done) < refits + MORE:
+    foretold, tried = not refit.misses(context, null), 1
+    while tried < refits + MORE:
         best = _best(done)
         left = [e for e in table.log_z if e not in done]
-        if len(done) >= FEWEST:
+        if tried >= FEWEST:
             left = [e for e in left if table.log_z[e] >= best - _margin(table, done, e)]
-        if len(done) <= LONE and all(refit.misses(context, s) or not s.fit.converged for s in done.values()):
+        if tried <= LONE and all(refit.misses(context, s) or not s.fit.converged for s in done.values()):
             # Nothing fits yet: two effects at once would be sought from a point that is no place to start from.
             left = [e for e in left if len(e) == 1] or left
         if not left:
             break
         pick = max(left, key=lambda e: table.log_z[e])
-        if len(done) >= refits:
+        if tried >= refits:
             about = done[table.source[pick]]
             if table.log_z[pick] <= best or refit.misses(context, about):
                 break
-        if len(done) == 1 and refit.misses(context, null):
+        if tried == 1 and refit.misses(context, null):
             pick = starts.together(context) or pick
         source = done[table.source.get(pick, ())]
-        tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * len(done) / refits)
+        tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * min(tried / refits, 1.0))
+        tried += 1
         expected = table.log_z.get(pick, -np.inf)
         solved = _refit(context, catalogue, pick, source, done, expected)
         done[pick] = solved
@@ -394,18 +395,26 @@ def _weigh_again(
     white: Array,
     solved: Solved,
     table: _Table,
-    done: Mapping[Effects, Solved],
+    done: dict[Effects, Solved],
 ) -> None:
     """Weigh what has one effect more or less about this fit, where no better fit has done so already.
 
     One less matters as much: about a null that a strong effect has bent, a pair can be weighed right and each of its
-    members wrong, and then the pair's idle member would seem to be needed.
+    members wrong, and then the pair's idle member would seem to be needed. A refit of one less that got lost far from
+    the data, while this one found its way, is undone: from here it may find it.
     """
     own, names = solved.fit.effects, list(catalogue.effects)
+    good = solved.fit.converged and not refit.misses(context, solved)
     wanted = []
     for one in names if own else ():
         effects = tuple(n for n in names if (n in own) != (n == one))
-        if not effects or effects in done or len(effects) > LARGEST:
+        if not effects or len(effects) > LARGEST:
+            continue
+        if effects in done:
+            was = done[effects]
+            if good and one in own and not was.fit.converged and refit.misses(context, was):
+                del done[effects]
+                wanted.append(effects)
             continue
         source = table.source.get(effects)
         if source is None or done[source].fit.log_evidence < solved.fit.log_evidence:
