@@ -241,9 +241,7 @@ def _downhill(model: _Model, prior: Prior, theta: Array, reach: float, s: float)
     return step, cost, residual
 
 
-def promised_by(
-    context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array
-) -> float:
+def promised_by(context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array) -> float:
     """By how much the second-order model about a point, whose columns are given, lets −ln posterior fall."""
     white = context.whiten(state.residual)
     model = _model(context, h, state.theta, white, known, own)

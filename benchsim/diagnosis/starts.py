@@ -8,7 +8,6 @@ plausible range of the amplitudes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -45,8 +44,8 @@ def scanned(context: Context, h: Hypothesis, source: Solved, amplitude: Array) -
     A width answers to a defocus of either sign alike, so that a descent from 0 may end in the wrong valley. Amplitudes
     of effects that the fit lacks are tried over their plausible range, with exact predictions about the stated
     settings, whose errors are integrated to first order with the columns that they have beside the effect (light that
-    is bent across the beam is bent otherwise where the beam is set otherwise). Noise is taken `AFAR` times larger, which
-    covers what first order leaves; where another amplitude is best with the noise as it is, that one is a start too.
+    is bent across the beam is bent otherwise where the beam is set otherwise). Noise is taken `AFAR` times larger to
+    cover what first order leaves; where another amplitude is best with the noise as it is, that one is a start too.
     """
     if context.curvature is None:
         return [amplitude]

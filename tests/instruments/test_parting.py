@@ -43,7 +43,7 @@ def shown(exposure, tilts, rng, bent=0.0, shaken=0.0):
     pose = Pose(view.rotation, view.translation, view.camera, *solved)
     blur = 0.7 * parting.mm_per_px(pose, blank.points, blank.normal)
     places, (line,) = parting._shapes(RECORDING, exposure, blank, blur, 1e-3 * bent, (shaken,))
-    lever = parting._lever(RECORDING, exposure, blank)
+    lever = parting._lever(RECORDING, exposure, blank.points)
     lines = zip(q, lever, line, strict=True)
     light = np.array([np.mean([np.interp(x - t * u, places, y) for t in tilts], axis=0) for x, u, y in lines])
     light = light / light.max() + blank.sigma * rng.standard_normal(q.shape)
@@ -119,6 +119,19 @@ def test_a_halo_about_a_single_line_is_no_line():
     halo = 0.012 * np.exp(-0.5 * (across.q / 12.0) ** 2)
     glaring = replace(across, light=across.light + halo)
     assert parting.parted(RECORDING, exposure, glaring, pose, 0.7, ridge) is None
+
+
+def test_lines_apart_are_facets_only_where_all_exposures_show_the_same_leans():
+    """Two of four exposures show lines apart: as 1.5 mrad of leans lay them, which the other two would show as well; by
+    leans that differ; or all four do by the same, as only facets can."""
+    seen = observables.simulate(RECORDING, seed=2)
+
+    def apart(o, lean):
+        return replace(o, parting=(lean * parting._lever(RECORDING, RECORDING.exposures[o.index], o.points)) ** 2)
+
+    assert not parting.follow_facets(RECORDING, [apart(o, 1.5) for o in seen[:2]], seen[2:])
+    assert not parting.follow_facets(RECORDING, [apart(o, 1.0 + 0.15 * o.index) for o in seen], [])
+    assert parting.follow_facets(RECORDING, [apart(o, 1.5) for o in seen], [])
 
 
 def test_gated_exposures_tell_random_leans_from_a_wobble_and_both_from_a_beam():

@@ -40,7 +40,7 @@ from benchsim.instruments.bench.observed import (
     nominal,
     smooth_floor,
 )
-from benchsim.instruments.bench.parting import Parted, parted
+from benchsim.instruments.bench.parting import Parted, follow_facets, parted
 from benchsim.instruments.bench.simulation import simulate
 from benchsim.trace.extract import measure, read_photographs
 from benchsim.trace.marks import MarkObservations, find_marks
@@ -105,7 +105,19 @@ def observe(
     lost = tuple(o for o in found if isinstance(o, str))
     if not observed:
         raise BenchsimError(f"{recording.path.name}: no exposure can be used: {lost[0]}")
-    return observed, lost
+    return _borne_out(recording, observed), lost
+
+
+def _borne_out(recording: Recording, observed: tuple[Observed, ...]) -> tuple[Observed, ...]:
+    """Lines apart are data where all exposures show the same facets; else the main ridge is."""
+    parted = [o for o in observed if o.ridge is not None]
+    single = [o for o in observed if o.ridge is None and recording.exposures[o.index].facet is None]
+    if not parted or follow_facets(recording, parted, single):
+        return observed
+    note = "its light lies beside its main line too, but not as facets that lean would lay it; the main line is used"
+    return tuple(
+        o if o.ridge is None else replace(o.ridge, notes=(*o.ridge.notes, f"{o.name}: {note}")) for o in observed
+    )
 
 
 def observe_one(recording: Recording, index: int) -> Observed:
@@ -148,6 +160,7 @@ def _of_all_facets(seen: Observed, found: Parted) -> Observed:
         covariance=found.covariance,
         parting=found.parting,
         parting_covariance=found.parting_covariance,
+        ridge=seen,
         notes=(*seen.notes, note),
         **no_shape(),
     )

@@ -66,6 +66,8 @@ class Observed:
         Mean square offset of the light of all facets across the trace about ``points``, one line's own not included;
         empty where no lines part. Where they do, there is neither width nor flux.
     parting_covariance : (n, n)
+    ridge : Observed or None
+        What the main ridge alone gives, where lines part.
     notes : tuple of str
         What was left out, in sentences.
     """
@@ -89,6 +91,7 @@ class Observed:
     notes: tuple[str, ...] = ()
     parting: Array = field(default_factory=lambda: np.zeros(0))
     parting_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    ridge: Observed | None = None
 
 
 def nominal(recording: Recording) -> Recording:

@@ -23,7 +23,7 @@ from benchsim import rays
 from benchsim.bench.curve import signed_distance
 from benchsim.bench.model import Exposure, Physics, Recording
 from benchsim.bench.place import place
-from benchsim.instruments.bench.observed import Observed, mm_per_px, no_shape, smooth_floor
+from benchsim.instruments.bench.observed import Observed, mm_per_px, no_shape, nominal, smooth_floor
 from benchsim.trace.parting import CELLS, REACH, Across, Comb, comb, one_line
 from benchsim.trace.pose import Pose
 from benchsim.trace.table import Trace
@@ -58,6 +58,14 @@ FLOOR = (0.03, 0.1)
 
 MEAN_FLOOR = 0.01
 """Smooth error of the mean, in widths of the line."""
+
+
+SAME_LEAN = 1.25
+"""Ratio up to which the mean leans that exposures show may differ."""
+
+PLAINER, PLAIN = 1.3, 2.5
+"""How much further apart than where lines were seen, or how far in 1 sigma of a line, they would have to lie in an
+exposure that shows one line for no facet to draw them."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +120,35 @@ def parted(
         for single in _shapes(bench, exposure, across, blurred, 1e-3 * bent, SHAKEN)[1]:
             if not _beaten(across, sample, q, single, combs):
                 return None
-    lever = _lever(recording, exposure, across)
+    lever = _lever(recording, exposure, across.points)
     return _measured(recording, across, q, plain[0], wide, combs, lever, line)
+
+
+def follow_facets(recording: Recording, parted: Sequence[Observed], single: Sequence[Observed]) -> bool:
+    """Whether the lines that some exposures show can be those of facets: all exposures see the same leans.
+
+    A beam with strong coma or a caustic is no comb either, but how far its light parts follows no lever.
+
+    Parameters
+    ----------
+    recording : Recording
+        The stated bench.
+    parted, single : sequences of Observed
+        With lines apart, and with one line though all facets are seen.
+    """
+
+    def levers(seen: Observed) -> tuple[Array, float]:
+        exposure = recording.exposures[seen.index]
+        width = float(np.median(np.asarray(rays.predict(nominal(recording), exposure).width)))
+        return _lever(recording, exposure, seen.points), width
+
+    both = [levers(seen) for seen in parted]
+    leans = np.sqrt([np.median(seen.parting / lever**2) for seen, (lever, _) in zip(parted, both, strict=True)])
+    apart = min(lean * np.median(np.abs(lever)) / width for lean, (lever, width) in zip(leans, both, strict=True))
+    if leans.max() > SAME_LEAN * leans.min():
+        return False
+    others = [np.median(np.abs(lever)) / width for lever, width in map(levers, single)]
+    return bool(all(np.median(leans) * ratio < min(PLAINER * apart, PLAIN) for ratio in others))
 
 
 def as_parted(seen: Observed, like: Sequence[Observed]) -> Observed:
@@ -248,13 +283,13 @@ def _shapes(
     return q, out
 
 
-def _lever(recording: Recording, exposure: Exposure, across: Across) -> Array:
+def _lever(recording: Recording, exposure: Exposure, points: Array) -> Array:
     """How far a facet's line lies off for its lean [mm/mrad], (k,), at the stated setting."""
-    bare = replace(recording, effects={}, fields={})
+    bare = nominal(recording)
     ends = [
-        signed_distance(
-            rays.predict(replace(bare, effects={"canting": {"pyr": lean}}), exposure, width=False), across.points
-        )[0]
+        signed_distance(rays.predict(replace(bare, effects={"canting": {"pyr": lean}}), exposure, width=False), points)[
+            0
+        ]
         for lean in (-0.5, 0.5)
     ]
     return ends[0] - ends[1]
