@@ -198,6 +198,7 @@ def fit(
         own, starts = columns_at(state.theta), starts[hold - 1 :]
     converged, checked, before, stalled, promise = False, 0, np.inf, False, np.inf
     for turn in range(rounds or ROUNDS):
+        last = state.theta
         state, own = descend(context, h, prior, state, known, own, columns_at)
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
         if stalled:
@@ -220,6 +221,8 @@ def fit(
         stalled = p > 0 and promise > STALLED * promised
         converged = promise < still(context, state.residual)
         if not converged:
+            if np.array_equal(state.theta, last) and turn:
+                break
             missed, before = before, excess(context.whiten(state.residual))
             if before > (1 - SLOW) * missed:
                 break

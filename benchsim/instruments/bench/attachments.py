@@ -313,7 +313,8 @@ def _board_axes(blocks: Sequence[Local]) -> tuple[Array, Array]:
     return _spread(-reach[0], reach[0], SPACING_MM), _spread(-reach[1], reach[1], SPACING_MM)
 
 
-_BOARD_LENGTHS = (45.0, 90.0, 180.0)
+_BOARD_LENGTHS = (45.0, 130.0, 400.0)
+"""[mm]; as those in the picture, for what can be either must not be told by the length that one may have."""
 
 
 def _height(blocks: Sequence[Local]) -> Attachment:
