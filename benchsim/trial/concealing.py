@@ -151,8 +151,11 @@ def _certify(plan: Plan, truth: Path, certificate: Certify, each: Each, progress
     if isinstance(found, BaseException):
         raise found
     if not found["passed"]:
+        worst = min(found["tests"], key=lambda t: t["p_value"])
         raise BenchsimError(
-            f"the generator is not certified: its light does not agree with rays within Monte Carlo error; {found}"
+            "the generator is not certified: on a clean bench its light does not agree with rays within Monte Carlo "
+            f"error (worst of six tests: {worst['what']}, {worst['quantity']}, p = {worst['p_value']:.2g}; "
+            f"{found['rays'][0]} and {found['rays'][1]} rays); run the command again, and if it stays, do not use it"
         )
     write_text(path, canonical(found).decode() + "\n")
 

@@ -11,9 +11,9 @@ from benchsim.diagnosis.location import FAMILY_WISE, Explanation, locate, scan
 
 
 def test_an_element_is_claimed_over_every_other_one():
-    a, b = Explanation("screen", "z", -10.0, 0.0), Explanation("mirror", "phase", -14.9, 0.0)
+    a, b = Explanation("screen", "z", -10.0, 0.0), Explanation("mirror", "phase", -17.9, 0.0)
     assert not locate([a, b]).claimed
-    far = Explanation("mirror", "phase", -15.1, 0.0)
+    far = Explanation("mirror", "phase", -18.1, 0.0)
     found = locate([a, far, Explanation("screen", "y", -10.5, 0.0)])
     assert found.claimed and found.element == "screen" and found.coordinate == "z"
     assert not locate([Explanation("screen", "z", -10.0, float("inf")), far]).claimed
