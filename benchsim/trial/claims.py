@@ -63,11 +63,13 @@ def cause(truth: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, withhel
         return "right", ""
     if true in sets and classes:
         return "class", f"one of {sum(len(m) for m in classes)}"
+    if any(held and held < true for held in sets):
+        return "missed", "in part"
     if classes:
         return "wrong", "a class without it"
     if set(named) == true:
         return "class", "named, and more is suspected"
-    return "missed", "in part" if named else "seen, but without a name" if verdict != "nothing-missing" else "not seen"
+    return "missed", "seen, but without a name" if verdict != "nothing-missing" else "not seen"
 
 
 def lone_wrong(truth: Mapping[str, Any], diagnosis: Mapping[str, Any], withheld: list[str]) -> bool:

@@ -35,6 +35,8 @@ BOW, CANT = "screen-bow", "canting"
         (truth(BOW), diagnosis(BOW, verdict="unexplained"), "class"),
         (truth(BOW, CANT, kind="pair"), diagnosis(BOW), "missed"),
         (truth(BOW, CANT, kind="pair"), diagnosis(BOW, verdict="class", classes=[[[CANT], ["drift"]]]), "class"),
+        (truth(BOW, CANT, kind="pair"), diagnosis(verdict="class", classes=[[[CANT], ["drift"]]]), "missed"),
+        (truth(BOW, CANT, kind="pair"), diagnosis(verdict="class", classes=[[["coma"], ["drift"]]]), "wrong"),
         (truth(), diagnosis(), "right"),
         (truth(), diagnosis(BOW), "wrong"),
         (truth(), diagnosis(verdict="unexplained"), "wrong"),
