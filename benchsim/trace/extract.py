@@ -103,6 +103,7 @@ def measure(
     screen: Screen,
     blur: float = 1.0,
     ridges: int = MOST_RIDGES,
+    picture: Picture | None = None,
 ) -> Trace:
     """The ridges of a photograph whose pose is known, on the board.
 
@@ -119,6 +120,8 @@ def measure(
         1 sigma of the camera's blur [px]; marks and edges are avoided by four of it.
     ridges : int
         Most ridges looked for.
+    picture : Picture, optional
+        Of `picture_on`, where it is there already.
 
     Returns
     -------
@@ -129,7 +132,7 @@ def measure(
     BenchsimError
         No trace, or too little of it.
     """
-    picture = picture_on(photograph, dark, pose, screen, blur)
+    picture = picture or picture_on(photograph, dark, pose, screen, blur)
     lines, dropped_status, dropped_px = _lines(photograph.name, picture, ridges)
     parts = [_on_board(line, pose) for line in lines]
     columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0] if key not in ("shape_mm", "noise")}

@@ -21,10 +21,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import nnls
 
 from benchsim.bench.curve import Curve, signed_distance
-from benchsim.bench.model import Screen
-from benchsim.trace.extract import picture_on
-from benchsim.trace.image import Photograph
-from benchsim.trace.picture import KEPT
+from benchsim.trace.picture import KEPT, Picture
 from benchsim.trace.pose import Pose, to_board
 from benchsim.trace.table import Trace
 
@@ -79,19 +76,17 @@ class Across:
         return np.sqrt(self.sigma[k] ** 2 + (WRONG[0] * self.light[k]) ** 2 + (WRONG[1] * peak) ** 2)
 
 
-def light_across(
-    photograph: Photograph, dark: Photograph | None, pose: Pose, screen: Screen, blur: float, line: Trace
-) -> Across:
+def light_across(picture: Picture, pose: Pose, line: Trace) -> Across:
     """Light on either side of a trace; marks, the board's edge and saturated pixels left out.
 
     Parameters
     ----------
-    photograph, dark, pose, screen, blur
-        As of `extract.measure`.
+    picture : Picture
+        Of `extract.picture_on`.
+    pose : Pose
     line : Trace
         The main ridge.
     """
-    picture = picture_on(photograph, dark, pose, screen, blur)
     order = np.argsort(line.s_mm)
     base, arc = _smooth(line.points[order], line.s_mm[order])
     path = np.stack([line.u_px, line.v_px], axis=1)[order]

@@ -197,7 +197,7 @@ def test_a_foreign_folder_is_refused(concealed, tmp_path):
 def test_a_generator_that_is_not_certified_conceals_nothing(tmp_path):
     test = {"what": "coarse against rays", "quantity": "light", "p_value": 1e-9}
     found = {"passed": False, "rays": [10, 20], "tests": [test]}
-    with pytest.raises(BenchsimError, match="not certified.*coarse against rays, light, p = 1e-09"):
+    with pytest.raises(BenchsimError, match=r"not certified.*coarse against rays, light, p = 1e-09"):
         trial.conceal(tmp_path / "t", 2, workers=0, make=fakes.make, certificate=lambda plan: found)
     assert not (tmp_path / "t" / "recordings").exists()
 

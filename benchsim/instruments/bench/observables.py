@@ -42,7 +42,7 @@ from benchsim.instruments.bench.observed import (
 )
 from benchsim.instruments.bench.parting import Parted, follow_facets, parted
 from benchsim.instruments.bench.simulation import simulate
-from benchsim.trace.extract import measure, read_photographs
+from benchsim.trace.extract import measure, picture_on, read_photographs
 from benchsim.trace.marks import MarkObservations, find_marks
 from benchsim.trace.noise import centre_noise, spline_basis
 from benchsim.trace.parting import light_across
@@ -136,13 +136,14 @@ def observe_one(recording: Recording, index: int) -> Observed:
         marks = join(marks, find_marks(dark, recording.screen.marks, camera))
     pose = solve_pose(camera, marks)
     blur = float(np.median(marks.blur))
-    measured = measure(photograph, dark, pose, recording.screen, blur)
+    picture = picture_on(photograph, dark, pose, recording.screen, blur)
+    measured = measure(photograph, dark, pose, recording.screen, blur, picture=picture)
     centres = _centres(marks, pose)
     line = _main_ridge(measured, centres, pose)
     seen = _reduced(recording, index, centres, line, blur)
     if not measured.linear:
         return seen
-    across = light_across(photograph, dark, pose, recording.screen, blur, line)
+    across = light_across(picture, pose, line)
     found = parted(recording, exposure, across, pose, blur, line)
     return seen if found is None else _of_all_facets(seen, found)
 
