@@ -241,9 +241,8 @@ def axis_hits(f: Frame, phase: Array, lean: Any) -> tuple[Array, NDArray[np.bool
 
         height, falling = along(f.front, f.far[0])
         path = -height / falling
-        board = np.empty((*path.shape, 2))
-        for k, (row, far) in enumerate(zip(f.edges, f.far[1:], strict=True)):
-            at, ray = along(row, far)
-            np.add(at, path * ray, out=board[..., k])
+        # Benches that differ only in what shifts the light share all paths to the board.
+        hits = (at + path * ray for at, ray in map(along, f.edges, f.far[1:]))
+        board = np.stack(np.broadcast_arrays(*hits), axis=-1)
         lit = (falls < 0) & (falling < 0) & (path > 0) & np.isfinite(board[..., 0])
     return board, lit

@@ -82,6 +82,14 @@ def test_many_equal_single_ones_with_every_effect(lab, physics, monkeypatch):
         equal(predict(*case[:3], 32, shape=case[3]), many)
 
 
+def test_benches_that_differ_in_what_shifts_the_light_alone(lab):
+    """All paths to the board are the same; only places on it differ."""
+    late = replace(lab.exposure, time=7200.0)
+    cases = [(lab.bench({"drift": {"dry": 0.1 * k, "drz": 0.05}}), late, None, NONE) for k in range(1, 4)]
+    for case, many in zip(cases, predict_many(cases, 24), strict=True):
+        equal(predict(*case[:3], 24), many)
+
+
 def _counted(function, calls):
     def counting(bench, *a, **k):
         calls.append(bench)
