@@ -150,9 +150,13 @@ def _bounded(inner: Array, cross: Array, low: Array, high: Array) -> tuple[Array
 
 @dataclass(frozen=True)
 class Weighed:
-    """Every hypothesis of the catalogue with its ln Z: of the refit where there is one, else the linear one."""
+    """Every hypothesis of the catalogue with its ln Z: of the refit where there is one, else the linear one.
+
+    ``refitted`` are those of which it is the refit's.
+    """
 
     log_evidence: Mapping[Effects, float]
+    refitted: frozenset[Effects] = frozenset()
 
     def probability(self, sets: Iterable[Effects]) -> float:
         """That at least one of the sets is there, as a whole."""
@@ -170,7 +174,7 @@ def weighed(naming: Naming) -> Weighed:
         if fit.converged:
             found[fit.effects] = fit.log_evidence
     found.setdefault((), naming.null.log_evidence)
-    return Weighed(found)
+    return Weighed(found, frozenset(f.effects for f in naming.fits if f.converged))
 
 
 def complete(hypotheses: Weighed, best: Effects, within: Space) -> Weighed:
@@ -188,7 +192,7 @@ def complete(hypotheses: Weighed, best: Effects, within: Space) -> Weighed:
             effects = tuple(n for n in order if n in rest or n == new)
             if frozenset(effects) not in known:
                 z[effects] = z[best] + _gaussian(within, effects) - _gaussian(within, best)
-    return Weighed(z)
+    return replace(hypotheses, log_evidence=z)
 
 
 def _gaussian(within: Space, effects: Effects) -> float:
@@ -224,7 +228,9 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
     """Compare the best hypothesis with every other set that was weighed.
 
     A rival within `CLOSE` counts, however improbable its prior makes it: a rarer explanation that the data cannot
-    refute is still open. Where the best is not likely by itself, what makes it so counts too.
+    refute is still open. So does one whose refit comes as near in ln Z, whatever the distance about the best's point
+    says: what goes with a square looks farther from there than it is. Where the best is not likely by itself, what
+    makes it so counts too.
 
     Parameters
     ----------
@@ -241,6 +247,7 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
     others = [h for h in z if h and not (mine <= set(h) or set(h) <= mine)]
     distance = {h: separation(within, signal, h) for h in others}
     near = {h for h in others if distance[h] < CLOSE}
+    near |= {h for h in others if h in hypotheses.refitted and z[best] - z[h] < 0.5 * CLOSE**2}
     if hypotheses.probability([best]) < LIKELY:
         near |= {h for h in others if z[best] - z[h] < float(np.log(SURE / (1 - SURE)))}
     rivals = [h for h in near if not any(set(o) < set(h) for o in near)]
