@@ -115,8 +115,13 @@ def step_of(
     otherwise send those that they do not fix off the screen.
     """
     hessian, force = normal
+    step: Array = np.zeros(len(theta))
     for damping in (0.0, *np.geomspace(1.0, 1e10, 21)):
-        step = _bounded(hessian + damping * np.diag(prior.unit**-2.0), force, prior, theta, p)
+        try:
+            step = _bounded(hessian + damping * np.diag(prior.unit**-2.0), force, prior, theta, p)
+        except np.linalg.LinAlgError:
+            # At a wild point rounding outweighs a direction's own curvature: damping gives it one.
+            continue
         if np.abs(step / prior.unit).max(initial=0.0) <= radius:
             break
     return step, float(force @ step - 0.5 * step @ hessian @ step)

@@ -84,7 +84,10 @@ def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: 
     white = context.whiten(known.columns)
     precision = white.T @ white + np.diag(scaled**-2.0)
     # Far from a fit columns can be so long that rounding outweighs the priors; only a direction is drawn from this.
-    lower = np.linalg.cholesky(precision + 1e-12 * float(np.diag(precision).max()) * np.eye(p))
+    try:
+        lower = np.linalg.cholesky(precision + 1e-12 * float(np.diag(precision).max()) * np.eye(p))
+    except np.linalg.LinAlgError:
+        return _exact(context, h, theta)
     # A fixed seed: the same data give the same diagnosis.
     signs = np.random.default_rng(len(h.names)).choice([-1.0, 1.0], p)
     draw = solve_triangular(lower, signs, lower=True, trans=1)
