@@ -286,10 +286,9 @@ def _shapes(
 def _lever(recording: Recording, exposure: Exposure, points: Array) -> Array:
     """How far a facet's line lies off for its lean [mm/mrad], (k,), at the stated setting."""
     bare = nominal(recording)
-    ends = [
-        signed_distance(rays.predict(replace(bare, effects={"canting": {"pyr": lean}}), exposure, width=False), points)[
-            0
-        ]
-        for lean in (-0.5, 0.5)
-    ]
-    return ends[0] - ends[1]
+
+    def leaning(lean: float) -> Array:
+        leant = replace(bare, effects={"canting": {"pyr": lean}})
+        return signed_distance(rays.predict(leant, exposure, width=False), points)[0]
+
+    return leaning(-0.5) - leaning(0.5)
