@@ -129,9 +129,10 @@ def certify(
 
     for wanted in noise:
         mean, variance, count = traced(wanted)
-        if counts and count < 2 * counts[0]:
-            # The coarse count happened to be dear on this bench: as much again makes the fine one finer.
-            mean, variance, count = traced(wanted / 2)
+        while counts and count < 2 * counts[0]:
+            # The coarse count happened to be dear on this bench; half the noise takes 1.5 times the rays or more.
+            wanted /= 2
+            mean, variance, count = traced(wanted)
         means.append(mean)
         variances.append(variance)
         counts.append(count)

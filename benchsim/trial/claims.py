@@ -89,6 +89,11 @@ def exact(truth: Mapping[str, Any], diagnosis: Mapping[str, Any], withheld: list
     return diagnosis["verdict"] == "named" and named == nameable(truth, withheld)
 
 
+def shared(truth: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> bool:
+    """Whether all that is named belongs to the truth and to its nearest rival: no claim on what tells them apart."""
+    return {e["name"] for e in diagnosis["effects"]} <= set(truth["effects"]) & set(truth["rival"]["effects"])
+
+
 def concealed_in_words(truth: Mapping[str, Any]) -> str:
     """For tables: ``screen-bow + canting``; what could not be named in brackets."""
     if truth["zero"] or truth["kind"].startswith("clean"):

@@ -194,9 +194,9 @@ def bars(
     chosen = [c for c in of(*singles, *pairs) if near(c[0]) < 3]
     out.append(
         rate(
-            "rival below 3 σ: a lone name all the same",
+            "rival below 3 σ: a lone name that the rival does not share",
             chosen,
-            lambda t, d: d["verdict"] == "named" and not d["classes"],
+            lambda t, d: d["verdict"] == "named" and not d["classes"] and not claims.shared(t, d),
             0.0,
             False,
         )

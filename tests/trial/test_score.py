@@ -98,7 +98,10 @@ def test_rows_are_chosen_by_visibility_and_rival():
     assert bar(many, "one effect, six settings, rival at 3 to 5")["n"] == 2
     below = bar(many, "one effect, six settings, rival below 3")
     assert (below["n"], below["k"], below["state"]) == (2, 0, "missed")
-    assert bar(many, "lone name all the same")["k"] == 3
+    assert bar(many, "a lone name that the rival does not share")["k"] == 3
+    in_common = truth(BOW, CANT, snr=9, rival=2) | {"rival": {"effects": [BOW], "separation_sigma": 2.0}}
+    assert bar([(in_common, diagnosis(BOW))], "the rival does not share")["k"] == 0
+    assert bar([(in_common, diagnosis(CANT))], "the rival does not share")["k"] == 1
     assert bar(many, "Fig. 7, SNR ≥ 8")["state"] == "open"
 
 
