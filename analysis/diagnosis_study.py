@@ -18,6 +18,7 @@ import time
 import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing import get_context
@@ -36,6 +37,7 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import observables
 from benchsim.instruments.bench import problem as bench_problem
+from benchsim.trial.hashing import code
 
 ROWS = (
     "single", "pair", "fig7", "clean", "clean-noise", "clean-settings", "clean-correlated", "removed", "stranger",
@@ -138,8 +140,8 @@ def pulls_of(d: Diagnosis, truth: draw.Truth) -> list[float]:
     return out
 
 
-def traces_case(row: str, seed: int, case: int, fresh: bool) -> dict[str, Any]:
-    """One case of the traces' tier."""
+def traces_case(row: str, seed: int, case: int, fresh: int) -> dict[str, Any]:
+    """One case of the traces' tier; of every so many cases a fresh recording is diagnosed against what was named."""
     rng = rng_of(seed, "traces", row, case)
     on = stage("traces", "fig7" if row == "fig7" else "six", seed, case, 1)
     recording, observed, sight = on.recording, on.observed, on.sight
@@ -165,7 +167,7 @@ def traces_case(row: str, seed: int, case: int, fresh: bool) -> dict[str, Any]:
         "truth_element": element_of(nominal, truth), **visible(truth, sight, values, bent), **verdict_of(d),
         "parameter_pulls": pulls_of(d, truth), "cpu_s": time.process_time() - start,
     }  # fmt: skip
-    if fresh and d.verdict == "named":
+    if fresh and case % fresh == 0 and d.verdict == "named":
         found = {f.name: {k: s.value for k, s in f.parameters.items()} for f in d.effects}
         again = bench_problem.build(replace(recording, effects=found), observed)
         moved = again.data - nominal.data
@@ -227,30 +229,35 @@ def photographs_case(row: str, seed: int, case: int, shrink: int) -> dict[str, A
     }  # fmt: skip
 
 
-def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: bool) -> dict[str, Any]:
-    """A case, or the complaint that ended it."""
+def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int) -> dict[str, Any]:
+    """A case and the code that judged it, or the complaint that ended it."""
     try:
-        if tier == "traces":
-            return traces_case(row, seed, case, fresh)
-        return photographs_case(row, seed, case, shrink)
+        found = traces_case(row, seed, case, fresh) if tier == "traces" else photographs_case(row, seed, case, shrink)
+        return {**found, "code": code()[:12]}
     except Exception as error:  # a study goes on; the line says what happened and counts as no verdict
-        return {"tier": tier, "row": row, "seed": seed, "case": case, "error": f"{type(error).__name__}: {error}"}
+        said = f"{type(error).__name__}: {error}"
+        return {"tier": tier, "row": row, "seed": seed, "case": case, "error": said, "code": code()[:12]}
 
 
 def run(
     call: Callable[[str, int, int], dict[str, Any]], rows: list[str], cases: int, seed: int, path: Path, workers: int
 ) -> None:
-    """Run what is not there yet: ``call(row, seed, case)`` in worker processes, a line of ``path`` for each."""
-    for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[key] = "1"  # the workers are spawned with it; one thread each
+    """Run what is not there yet: ``call(row, seed, case)`` in worker processes, a line of ``path`` for each.
+
+    All rows of a case go to the same worker, so that they share its stage.
+    """
+    # The workers are spawned with it: one thread each, and memory is kept rather than handed back and forth.
+    os.environ |= {
+        "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
+        "MALLOC_TRIM_THRESHOLD_": str(2**32), "MALLOC_MMAP_MAX_": "0",
+    }  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     done = {(c["row"], c["case"]) for c in read([path])} if path.exists() else set()
     todo = [(row, k) for k in range(cases) for row in rows if (row, k) not in done]
-    with (
-        ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
-        path.open("a", encoding="utf-8") as file,
-    ):
-        futures = [pool.submit(call, row, seed, k) for row, k in todo]
+    with ExitStack() as stack:
+        file = stack.enter_context(path.open("a", encoding="utf-8"))
+        pools = [stack.enter_context(ProcessPoolExecutor(1, mp_context=get_context("spawn"))) for _ in range(workers)]
+        futures = [pools[k % workers].submit(call, row, seed, k) for row, k in todo]
         for i, future in enumerate(as_completed(futures), 1):
             case = future.result()
             file.write(json.dumps(case) + "\n")
@@ -286,7 +293,10 @@ def main() -> None:
     go.add_argument("--out", type=Path, default=Path("out/study"))
     go.add_argument("--workers", type=int, default=2)
     go.add_argument("--shrink", type=int, default=2, help="of the cameras' resolution, photographs only")
-    go.add_argument("--fresh", action="store_true", help="also diagnose a fresh recording against what was named")
+    go.add_argument(
+        "--fresh", type=int, default=0, metavar="N",
+        help="of every Nth case diagnose a fresh recording against what was named (traces)",
+    )  # fmt: skip
     show = sub.add_parser("table", help="print rates, confusion and reliability")
     show.add_argument("files", type=Path, nargs="+")
     args = parser.parse_args()
@@ -302,7 +312,8 @@ def tell(cases: list[dict[str, Any]], *more: str) -> None:
     """Print the tables of cases, with more between rates and confusion."""
     print(score.table(cases), *more, score.confusion(cases), score.reliability(cases), sep="\n\n")
     bad = [c for c in cases if "error" in c]
-    print(f"\n{len(cases)} cases, {len(bad)} without a verdict")
+    codes = sorted({c.get("code", "unknown") for c in cases})
+    print(f"\n{len(cases)} cases, {len(bad)} without a verdict; judged by code {', '.join(codes)}")
     for c in bad[:10]:
         print(f"  {c['row']} {c['case']}: {c['error']}")
 
