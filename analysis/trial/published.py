@@ -1,7 +1,7 @@
 """The published trial: run it with a fresh seed, keep what a referee needs, make its recordings again.
 
 python analysis/trial/published.py run out/trial --cases 150
-python analysis/trial/published.py keep out/trial
+python analysis/trial/published.py keep out/trial      # and its table into README.md
 python analysis/trial/published.py again out/again
 """
 
@@ -10,16 +10,31 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+from collections import Counter
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from benchsim import trial
+from benchsim.bench.writing import write_text
 from benchsim.trial import ledger
+from benchsim.trial.score import KIND_WORDS
 
 KEPT = Path(__file__).resolve().parent / "kept"
 
+BEGIN, END = "<!-- table: written by 'published.py keep' -->", "<!-- end of table -->"
+
+OUTCOMES = {
+    "right": "right",
+    "class": "left open, truth among it",
+    "missed": "missed",
+    "wrong": "wrong",
+    "": "no verdict",
+}
+
 
 def keep(folder: Path) -> None:
-    """Copy ledger, truths, verdicts, score and page; of the recordings their ledger only."""
+    """Copy ledger, truths, verdicts, score and page, of the recordings their ledger; put the tables in the README."""
     trial.verify(folder)
     shutil.rmtree(KEPT, ignore_errors=True)
     (KEPT / "recordings").mkdir(parents=True)
@@ -29,7 +44,54 @@ def keep(folder: Path) -> None:
     (KEPT / "truth").chmod(0o755)
     for name in (ledger.NAME, "score.json", "report.html"):
         shutil.copy(folder / name, KEPT)
+    readme = KEPT.with_name("README.md")
+    before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
+    score = json.loads((KEPT / "score.json").read_text(encoding="utf-8"))
+    write_text(readme, before + "\n\n".join([BEGIN, *tables(score), END]) + rest.split(END)[1])
     print(trial.verify(KEPT, recordings=False).summary())
+
+
+def tables(score: dict[str, Any]) -> list[str]:
+    """Outcomes by what was concealed, the bars, and every case that was not found rightly, in Markdown."""
+    cases = score["cases"]
+    counts = {row: Counter(c["cause"] for c in group) for row, group in _by_row(cases)}
+    used = [o for o in OUTCOMES if any(of[o] for of in counts.values())]
+    outcomes = _table(
+        ["concealed", "cases", *(OUTCOMES[o] for o in used)],
+        [[KIND_WORDS[row], sum(of.values()), *(of[o] for o in used)] for row, of in counts.items()],
+    )
+    bars = _table(
+        ["bar", "asked", "found", "95 % interval", "n", ""],
+        [[b["quantity"], b["bar"], b["value"], b["interval"], b["n"], b["state"]] for b in score["bars"]],
+    )
+    misses = _table(
+        ["case", "concealed", "SNR", "nearest rival (σ)", "said", "outcome"],
+        [
+            [
+                c["case"],
+                c["concealed"],
+                "" if c["snr"] is None else f"{c['snr']:.1f}",
+                "" if c["rival_sigma"] is None else f"{c['rival_sigma']:.1f}",
+                c["said"],
+                f"{c['cause']}: {c['note']}" if c["note"] else c["cause"],
+            ]
+            for c in cases
+            if c["cause"] != "right"
+        ],
+    )
+    found = score["leak"]
+    leak = f'Leak test: best clue "{found["clue"]}", AUC {found["auc"]:.2f}, p = {found["p_value"]:.3f}.'
+    return [score["headline"], outcomes, bars, leak, "Every case that was not found rightly:", misses]
+
+
+def _by_row(cases: list[dict[str, Any]]) -> Any:
+    order = list(KIND_WORDS)
+    return groupby(sorted(cases, key=lambda c: order.index(c["row"])), key=lambda c: c["row"])
+
+
+def _table(head: list[str], rows: list[list[Any]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
 def again(folder: Path) -> None:
