@@ -28,7 +28,7 @@ def check(geometry, kind, centre, a, b, angle, tolerance=1e-9):
         assert np.allclose(got[order], expected, rtol=0, atol=tolerance * max(scale, a * e))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.sampled_from(["ellipse", "hyperbola"]), log_sizes, st.floats(-1.3, 1.3), angles, st.floats(0, 30), angles)
 def test_round_trip(kind, log_a, log_ratio, angle, distance, bearing):
     """Axes from 1e-2 to 1e4, ratios 1:20, centres up to thirty times the smaller axis away."""
@@ -40,7 +40,7 @@ def test_round_trip(kind, log_a, log_ratio, angle, distance, bearing):
     check(conic.geometry(conic.from_axes(kind, centre, (a, b), angle)), kind, centre, a, b, angle)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.sampled_from(["ellipse", "hyperbola"]), st.floats(1, 6), st.floats(0.3, 0.99), angles, angles)
 def test_far_away_conic_in_near_coordinates(kind, log_distance, ratio, angle, bearing):
     """A conic a million axes from the origin: held near the curve and moved, nothing is lost."""
@@ -104,7 +104,7 @@ def test_batch_agrees_with_single():
         assert np.array_equal(one.foci, batch.foci[i], equal_nan=True)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.sampled_from(["ellipse", "hyperbola"]), st.floats(0.2, 0.99), angles, st.floats(-1.2, 1.2))
 def test_points_asymptotes_and_curvature(kind, b, angle, parameter):
     """A point of the parametric form lies on the curve and has the textbook curvature there."""
@@ -134,7 +134,7 @@ def test_curvature_sign():
     assert conic.curvature([1, 0, 1, 0, 0, -4], [2.0, 0.0]) == pytest.approx(0.5)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.floats(-2, 2), min_size=4, max_size=4), st.lists(st.floats(-5, 5), min_size=2, max_size=2))
 def test_affine_change_of_coordinates(entries, shift):
     linear = np.array(entries).reshape(2, 2)
