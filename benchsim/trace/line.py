@@ -255,10 +255,12 @@ def _first_variance(view: _View, light: Array, background: Array, flank: Mask) -
 
 def _zoom(shape: Shape, profiles: Profiles, t: Array, rows: Mask, span: tuple[float, float]) -> Array:
     """Width of the line along it over its mean, a quadratic in t: what then changes is the shape alone."""
-    terms = legendre(t, span, 2)
-    log_width = profiles.stretch + np.log(shape.width(t))
-    weight = np.where(rows, profiles.flux / np.maximum(profiles.flux_sigma, 1e-30), 0.0)
-    coefficients = np.linalg.lstsq(terms * weight[:, None], log_width * weight, rcond=None)[0]
+    terms, width = legendre(t, span, 2), shape.width(t)
+    # Beyond the profiles that shaped it a shape may have no width.
+    known = rows & (width > 0)
+    log_width = profiles.stretch[known] + np.log(width[known])
+    weight = profiles.flux[known] / np.maximum(profiles.flux_sigma[known], 1e-30)
+    coefficients = np.linalg.lstsq(terms[known] * weight[:, None], log_width * weight, rcond=None)[0]
     # Within a factor of two: beyond, the profiles are too poor to say.
     return np.exp(np.clip(terms[:, 1:] @ coefficients[1:], -0.7, 0.7))
 
