@@ -15,6 +15,7 @@ covariance says (χ² per datum 0.8 to 1.05) without any floor.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -33,6 +34,7 @@ from benchsim.instruments.bench.observed import (
     FLUX_FLOOR,
     SHAPE_BINS,
     WIDTH_FLOOR,
+    Aside,
     Observed,
     beside,
     mm_per_px,
@@ -64,6 +66,9 @@ GROSS = 0.15
 
 MOST_LONE = 0.15
 """Largest share of marks left out so."""
+
+FEWEST_ALIKE = 3
+"""Photographs in all of which a mark lies off its neighbours where the board is to blame, not its measurement."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +110,25 @@ def observe(
     lost = tuple(o for o in found if isinstance(o, str))
     if not observed:
         raise BenchsimError(f"{recording.path.name}: no exposure can be used: {lost[0]}")
-    return _borne_out(recording, observed), lost
+    return _borne_out(recording, _of_the_board(observed)), lost
+
+
+def _of_the_board(observed: tuple[Observed, ...]) -> tuple[Observed, ...]:
+    """Marks that lie off their neighbours in every photograph are the board's, so data; others are mismeasured."""
+    off = Counter(a.mark for o in observed for a in o.aside)
+    board = {mark for mark, n in off.items() if n == len(observed) >= FEWEST_ALIKE}
+
+    def settled(o: Observed) -> Observed:
+        marks, notes = o.marks.copy(), []
+        for a in o.aside:
+            if a.mark in board:
+                marks[a.row] = a.residual
+            else:
+                notes.append(f"{a.picture}: mark {a.mark} lies off its neighbours and is left out")
+        ridge = None if o.ridge is None else settled(o.ridge)
+        return replace(o, marks=marks, aside=(), ridge=ridge, notes=(*notes, *o.notes))
+
+    return tuple(settled(o) for o in observed)
 
 
 def _borne_out(recording: Recording, observed: tuple[Observed, ...]) -> tuple[Observed, ...]:
@@ -180,7 +203,6 @@ def _reduced(recording: Recording, index: int, centres: _Centres, line: trace.Tr
     distance, feet = signed_distance(stated, line.points)
     points = beside(stated, binned.weights @ feet, binned.weights @ distance)
     shape = _shape(line, stated, distance, feet) if line.linear else no_shape()
-    notes = tuple(f"{pose_name}: {why}" for pose_name, why in centres.notes)
     return Observed(
         index=index,
         name=recording.exposures[index].name,
@@ -191,7 +213,7 @@ def _reduced(recording: Recording, index: int, centres: _Centres, line: trace.Tr
         marks=centres.residual,
         marks_covariance=centres.covariance,
         blur=blur,
-        notes=notes,
+        aside=centres.aside,
         **shape,
     )
 
@@ -202,7 +224,7 @@ class _Centres:
     residual: Array
     covariance: Array
     scale: float
-    notes: tuple[tuple[str, str], ...]
+    aside: tuple[Aside, ...]
 
 
 def _centres(marks: MarkObservations, pose: Pose) -> _Centres:
@@ -230,9 +252,9 @@ def _centres(marks: MarkObservations, pose: Pose) -> _Centres:
     whole = np.ones(len(each), bool)
     np.logical_and.at(whole, which, marks.measured[use].all(axis=1))
     scale, lone = _marks_scatter(corners.mean(axis=1), residual, covariance, whole)
-    notes = tuple((marks.name, f"mark {each[i]} lies off its neighbours and is left out") for i in np.flatnonzero(lone))
+    aside = tuple(Aside(int(each[i]), int(i), residual[i], marks.name) for i in np.flatnonzero(lone))
     residual = np.where((whole & ~lone)[:, None], residual, np.nan)
-    return _Centres(seen, residual, covariance * scale, scale, notes)
+    return _Centres(seen, residual, covariance * scale, scale, aside)
 
 
 def _marks_scatter(

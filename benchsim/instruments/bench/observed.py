@@ -31,6 +31,16 @@ FLOOR_LENGTH = 150.0
 
 
 @dataclass(frozen=True)
+class Aside:
+    """A mark that lies off its neighbours: its name, its row in `Observed.marks`, its residual [px], the picture."""
+
+    mark: int
+    row: int
+    residual: Array
+    picture: str
+
+
+@dataclass(frozen=True)
 class Observed:
     """What one exposure gives to the diagnosis.
 
@@ -68,6 +78,8 @@ class Observed:
     parting_covariance : (n, n)
     ridge : Observed or None
         What the main ridge alone gives, where lines part.
+    aside : tuple of Aside
+        Marks of which all exposures together have to say whether they are data.
     notes : tuple of str
         What was left out, in sentences.
     """
@@ -92,6 +104,7 @@ class Observed:
     parting: Array = field(default_factory=lambda: np.zeros(0))
     parting_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     ridge: Observed | None = None
+    aside: tuple[Aside, ...] = ()
 
 
 def nominal(recording: Recording) -> Recording:
