@@ -211,9 +211,12 @@ def _refit(
         known = known if context.curvature is None else Known(context.curvature.first, np.zeros(p))
         if hold and any(e.whole for e in h.effects):
             known = Known(context.nuisance_columns(values(context.problem, h, points[0])), points[0].nuisance)
-    elif not own_effects:
+    elif not own_effects and not h.shapes:
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
-        own = np.column_stack([catalogue.columns[:, chosen], np.zeros((len(context.problem.data), len(h.shapes)))])
+        own = catalogue.columns[:, chosen]
+    if not hold and any(evidence.shapes(e) and e.name not in own_effects for e in h.effects):
+        # Shapes are placed with the settings integrated; where the source has them, they speak against the place.
+        hold = 1
     prior = screen.log_prior(effects, list(catalogue.effects))
     sure = bool(own_effects) and source.fit.converged and not refit.misses(context, source)
     solved = refit.fit(context, h, points[:1] if sure else points, known, own, prior, hold=hold)

@@ -121,7 +121,7 @@ def _stacked(values: Sequence[Any]) -> Any:
     first = values[0]
     if all(v is first for v in values):
         return first
-    if isinstance(first, (float, int, np.ndarray)):
+    if isinstance(first, (float, int, np.number, np.ndarray)):
         array = np.array(values)
         return first if (array == array[0]).all() else array.reshape(len(values), 1, 1, 1, *array.shape[1:])
     if isinstance(first, tuple):
