@@ -37,6 +37,7 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import observables
 from benchsim.instruments.bench import problem as bench_problem
+from benchsim.trial.cluster import MEMORY_KEPT
 from benchsim.trial.hashing import code
 
 ROWS = (
@@ -246,11 +247,8 @@ def run(
 
     All rows of a case go to the same worker, so that they share its stage.
     """
-    # The workers are spawned with it: one thread each, and memory is kept rather than handed back and forth.
-    os.environ |= {
-        "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
-        "MALLOC_TRIM_THRESHOLD_": str(2**32), "MALLOC_MMAP_MAX_": "0",
-    }  # fmt: skip
+    # The workers are spawned with it, one thread each.
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **MEMORY_KEPT}
     path.parent.mkdir(parents=True, exist_ok=True)
     done = {(c["row"], c["case"]) for c in read([path])} if path.exists() else set()
     todo = [(row, k) for k in range(cases) for row in rows if (row, k) not in done]

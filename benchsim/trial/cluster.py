@@ -21,12 +21,14 @@ from benchsim.bench.writing import permit
 Each = Callable[[Callable[..., Any], Sequence[tuple[Any, ...]]], Iterator[tuple[int, Any]]]
 """each(function, tasks) yields (index of the task, result or the exception that ended it) as they come."""
 
+MEMORY_KEPT = {"MALLOC_TRIM_THRESHOLD_": str(2**32), "MALLOC_MMAP_MAX_": "0"}
+"""Environment of processes that work on pictures: to hand freed memory back to the kernel and fetch it again, as Dask
+has it by default, was a third of their time."""
+
 SETTINGS = {
     "distributed.worker.memory.terminate": False,
     "distributed.worker.memory.pause": False,
-    # Dask's default hands all freed memory back to the kernel at once: with pictures that was a third of the time.
-    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": str(2**32),
-    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_MAX_": "0",
+    **{f"distributed.nanny.pre-spawn-environ.{key}": value for key, value in MEMORY_KEPT.items()},
 }
 """Of Dask, for the local processes."""
 
