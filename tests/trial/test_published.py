@@ -1,0 +1,45 @@
+"""The published trial still proves what its README says.
+
+Scenario: a referee checks out the repository, without the recordings. The ledger, the commitments and the score have
+to hold together, one changed verdict has to be seen, and the README's tables have to be those of the score that is
+kept.
+"""
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from benchsim import trial
+from benchsim.bench.errors import BenchsimError
+
+HERE = Path(__file__).resolve().parents[2] / "analysis" / "trial"
+
+
+def published():
+    """The script that keeps a trial, as a module."""
+    spec = importlib.util.spec_from_file_location("published", HERE / "published.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_kept_trial_verifies_without_its_recordings():
+    trial.verify(HERE / "kept", recordings=False)
+
+
+def test_one_changed_byte_of_a_kept_verdict_is_seen(tmp_path):
+    copy = shutil.copytree(HERE / "kept", tmp_path / "kept")
+    verdict = next((copy / "verdicts").rglob("diagnosis.json"))
+    verdict.write_text(verdict.read_text(encoding="utf-8").replace("0.", "1.", 1), encoding="utf-8")
+    with pytest.raises(BenchsimError):
+        trial.verify(copy, recordings=False)
+
+
+def test_the_readme_shows_the_score_that_is_kept():
+    module = published()
+    score = json.loads((HERE / "kept" / "score.json").read_text(encoding="utf-8"))
+    shown = (HERE / "README.md").read_text(encoding="utf-8").split(module.BEGIN)[1].split(module.END)[0]
+    assert shown.strip() == "\n\n".join(module.tables(score))
