@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from itertools import product
@@ -33,14 +34,22 @@ TOGETHER = 64
 
 
 def bench_of(
-    recording: Recording, exposure: Exposure, errors: SettingErrors | None = None, shape: Shape = (0.0, 0.0, 0.0)
+    recording: Recording,
+    exposure: Exposure,
+    errors: SettingErrors | None = None,
+    shape: Shape = (0.0, 0.0, 0.0),
+    blur: float = 0.0,
 ) -> Bench:
     """The bench of one exposure with the recording's effects and fields; see `predict`."""
-    return _bench(recording, exposure, place(recording.mirror, exposure, errors), elements(recording, exposure, shape))
+    stands = place(recording.mirror, exposure, errors)
+    return _bench(recording, exposure, stands, elements(recording, exposure, shape), blur)
 
 
-def _bench(recording: Recording, exposure: Exposure, stands: Placement, parts: Elements) -> Bench:
+def _bench(recording: Recording, exposure: Exposure, stands: Placement, parts: Elements, blur: float = 0.0) -> Bench:
     placement = parts.turned(stands)
+    if blur:
+        # A camera spreads what it sees as shaking spreads the light: widths behind both are those of one Gaussian.
+        parts = replace(parts, timing=replace(parts.timing, shake=math.hypot(parts.timing.shake, blur)))
     return Bench(
         recording.laser, recording.mirror, recording.physics, recording.screen, placement, exposure.facet, parts
     )
@@ -54,6 +63,7 @@ def predict(
     *,
     width: bool = True,
     shape: Shape = (0.0, 0.0, 0.0),
+    blur: float = 0.0,
 ) -> Curve:
     """Time-averaged trace of one exposure on the board, with the recording's effects and fields of light.
 
@@ -74,6 +84,8 @@ def predict(
     shape : (c4, e_plus, e_cross)
         True beam profile over the Gaussian: its density is multiplied with exp(c4 (s² − 2 s) + (e_plus (u² − v²) +
         e_cross 2 u v)/w²), s = 2 (u² + v²)/w². Not normalised: the flux is to be compared along one trace only.
+    blur : float
+        rms [mm] on the board of a camera's Gaussian blur: the width is then that behind it, and so is ``parting``.
 
     Returns
     -------
@@ -85,14 +97,16 @@ def predict(
     BenchsimError
         For an effect or parameter that does not exist, and as `curve.trace_curve`.
     """
-    bench = bench_of(recording, exposure, errors, shape)
+    bench = bench_of(recording, exposure, errors, shape, blur)
     try:
         return _mixture(bench, samples, width=width)
     except BenchsimError as error:
         raise BenchsimError(f"{exposure.name}: {error}") from None
 
 
-def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True) -> list[Curve | None]:
+def predict_many(
+    cases: Sequence[Case], samples: int = 96, *, width: bool = True, blurs: Sequence[float] | None = None
+) -> list[Curve | None]:
     """`predict` of many cases, worked out together where their benches differ in numbers alone: several times cheaper.
 
     Parameters
@@ -102,6 +116,8 @@ def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True
         rays and physics mixed by amplitudes gain nothing.
     samples, width
         As `predict`.
+    blurs : sequence of float, optional
+        As `predict`, one for each case; default none.
 
     Returns
     -------
@@ -116,12 +132,13 @@ def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True
     known: dict[Hashable, Elements] = {}
     shared: dict[Hashable, Any] = {}
     benches = []
-    for (recording, exposure, _, shape), stands in zip(cases, _stand(cases), strict=True):
+    blurs = blurs or [0.0] * len(cases)
+    for (recording, exposure, _, shape), stands, blur in zip(cases, _stand(cases), blurs, strict=True):
         # By identity: recordings hold tables, which are compared slowly. The cases keep them alive.
         key = id(recording), id(exposure), shape
         if key not in known:
             known[key] = elements(recording, exposure, shape, shared)
-        benches.append(_bench(recording, exposure, stands, known[key]))
+        benches.append(_bench(recording, exposure, stands, known[key], blur))
     out: list[Curve | None] = [None] * len(benches)
     for group in stack.groups(benches, TOGETHER):
         if len(group) > 1:

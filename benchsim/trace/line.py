@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -27,7 +27,7 @@ from benchsim.trace.picture import (
     Unmeasurable,
     require,
 )
-from benchsim.trace.profile import Profiles, fit_profiles
+from benchsim.trace.profile import Profiles, calm, fit_profiles, light_of, stretches
 from benchsim.trace.ridge import CoarseCurve
 from benchsim.trace.shape import Shape, fit_shape, legendre
 from benchsim.trace.start import centred_curve
@@ -231,18 +231,19 @@ def _fit(view: _View, span: tuple[float, float], core: float, half_width: float)
         if rows.sum() < LEAST_PROFILES:
             raise Unmeasurable(f"{rows.sum()} profiles stand above the noise and {LEAST_PROFILES} are needed", FAINT)
         pick = near & rows[:, None]
-        level = view.pedestal + profiles.model
-        noise = fit_pixel_noise(
-            (light - profiles.model)[pick], level[pick], profiles.line[pick], profiles.leverage[pick]
-        )
-        variance = noise.variance(level, profiles.line)
-        background, flux = profiles.background, np.maximum(profiles.flux * zoom, 1e-30)
+        near_by = calm(profiles, rows)
+        line = light_of(x, band.t, shape, near_by)
+        level = view.pedestal + line + near_by.background[:, None]
+        noise = fit_pixel_noise((light - profiles.model)[pick], level[pick], line[pick], profiles.leverage[pick])
+        variance = noise.variance(level, line)
+        background, flux = near_by.background, np.maximum(near_by.flux * zoom, 1e-30)
         if turn == 0:
             zoom = _zoom(shape, profiles, band.t, rows, span)
         if view.clipped.any():
             use = unsaturated & (view.under + profiles.model < view.ceiling - 4 * np.sqrt(variance))
     assert profiles is not None
-    return _Fitted(shape, profiles, zoom, strong, slope_factor)
+    stretch = stretches(x, light, np.where(near, 1 / variance, 0.0), band.t, shape, near_by)
+    return _Fitted(shape, replace(profiles, stretch=stretch), zoom, strong, slope_factor)
 
 
 def _first_variance(view: _View, light: Array, background: Array, flank: Mask) -> Array:

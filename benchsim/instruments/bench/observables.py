@@ -322,7 +322,7 @@ def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> di
     out: dict[str, Any] = {}
     binned = None
     for key, value, spread, floor in (
-        ("width2", width**2, 2 * width * sigma, 2 * WIDTH_FLOOR * width**2),
+        ("log_width", np.log(width), sigma / width, WIDTH_FLOOR * np.ones(len(s))),
         ("log_flux", np.log(flux), sigma / width, FLUX_FLOOR * np.ones(len(s))),
     ):
         # Wrong by a common factor, which the scatter finds.
@@ -337,10 +337,15 @@ def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> di
         out[f"{key}_covariance"] = w @ (covariance + smooth_floor(s, floor)) @ w.T
     assert binned is not None
     assert line.pose is not None
+    # Of the logarithm the mean is free of what the profiles' scatter adds to a mean of squares.
+    width2 = np.exp(2 * out.pop("log_width"))
+    relative = out.pop("log_width_covariance")
     px = mm_per_px(line.pose, line.points[good], line.normal[good])
     w = binned.weights
     return {
         **out,
+        "width2": width2,
+        "width2_covariance": 4 * relative * np.outer(width2, width2),
         "profile_points": beside(stated, w @ feet[good], w @ distance[good]),
         "profile_s": w @ s,
         "mm_per_px": w @ px,

@@ -51,13 +51,16 @@ _TO_RAD = np.array([1.0 if unit == "mm" else 1e-3 for unit in UNITS])
 
 @dataclass(frozen=True)
 class Response:
-    """How an adaptive width behind the camera's blur follows the light's.
+    """How an adaptive width behind the camera's blur follows the one that `rays` works out behind one ``blur`` [mm].
 
-    w² = at + slope (w_light² − light) + by_blur (b² − b₀²); (k,) each, mm² or 1.
+    w² = at + slope (w_rays² − near) + by_blur (b² − b₀²); (k,) each, mm² or 1. The blur is part of what `rays` works
+    out because lines that part, stretch or shake change a sharp profile's adaptive width otherwise than a blurred
+    one's; the slopes are for what differs along the trace.
     """
 
+    blur: float
     at: Array
-    light: Array
+    near: Array
     slope: Array
     by_blur: Array
 
@@ -180,7 +183,8 @@ class Predict:
         if key not in self.cache:
             recording, exposure, off, shape = self._case(Asked(values, block, truth))
             width = self.blocks[block].response is not None
-            self._keep(key, rays.predict(recording, exposure, off, SAMPLES, width=width, shape=shape))
+            blur = self._blur(block)
+            self._keep(key, rays.predict(recording, exposure, off, SAMPLES, width=width, shape=shape, blur=blur))
         return self.cache[key]
 
     def _lights(self, asked: Sequence[Asked]) -> list[Curve | None]:
@@ -194,7 +198,12 @@ class Predict:
             if len(some) < 2:
                 continue
             try:
-                curves = rays.predict_many([self._case(a) for a in some.values()], SAMPLES, width=width)
+                curves = rays.predict_many(
+                    [self._case(a) for a in some.values()],
+                    SAMPLES,
+                    width=width,
+                    blurs=[self._blur(a.block) for a in some.values()],
+                )
             except BenchsimError:
                 # One of them holds a value that an element cannot take.
                 continue
@@ -227,6 +236,10 @@ class Predict:
     def _case(self, a: Asked) -> tuple[Recording, Exposure, SettingErrors, tuple[float, float, float]]:
         b = self.blocks[a.block]
         return a.truth, a.truth.exposures[b.observed.index], errors(a.values, b.setting), beam_shape(a.values)
+
+    def _blur(self, block: int) -> float:
+        response = self.blocks[block].response
+        return 0.0 if response is None else response.blur
 
     def beyond(
         self, values: Mapping[str, float], block: int, truth: Recording, curve: Curve, shift: Array | None = None
@@ -352,7 +365,7 @@ def _data(seen: Sequence[Seen]) -> list[Array]:
         assert r is not None
         blur = s.values.get(f"{s.block.camera}.blur", 0.0)
         more = ((1 + blur) ** 2 - 1) * (o.blur * o.mm_per_px) ** 2
-        wide = r.at + r.slope * (here[n:, 0] - r.light) + r.by_blur * more
+        wide = r.at + r.slope * (here[n:, 0] - r.near) + r.by_blur * more
         # Its level is the gain's alone: whatever of it geometry could change, quadratically, would only be undone.
         flux = here[n:, 1]
         flux = flux - flux.mean() + s.values.get(f"{o.name}.gain", 0.0)

@@ -243,9 +243,8 @@ def _response(doubted: Recording, recording: Recording, o: Observed) -> Response
         grid = np.broadcast_to(stretch * q, blurred.shape)
         return adaptive(grid, np.maximum(blurred, 0.0), np.zeros(len(blurred)))[1] ** 2
 
-    sharp = width2(1.0, np.zeros(len(blur)))
-    step = 0.01
-    at = width2(1.0, blur)
-    slope = (width2(1 + step, blur) - width2(1 - step, blur)) / (4 * step * sharp)
+    step, same = 0.01, np.full(len(blur), float(blur.mean()))
+    at, near = width2(1.0, blur), width2(1.0, same)
+    slope = (width2(1 + step, blur) - width2(1 - step, blur)) / (width2(1 + step, same) - width2(1 - step, same))
     by_blur = (width2(1.0, 1.02 * blur) - width2(1.0, 0.98 * blur)) / ((1.02**2 - 0.98**2) * blur**2)
-    return Response(at, sharp, slope, by_blur)
+    return Response(float(blur.mean()), at, near, slope, by_blur)
