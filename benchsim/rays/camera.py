@@ -173,6 +173,29 @@ def see(
     return pixels
 
 
+def spilled(recording: Recording, level: Array) -> Array:
+    """What blooming adds to a profile's variance along the columns [px²].
+
+    Charge q of a column is carried d = D (q/peak)² pixels, whole ones: to the nearest two in the shares that make d of
+    it. Of a Gaussian profile the centroid moves by D/√3, which is ``sat`` at brightness 1; to the variance that adds
+    that of d over the profile and, of the split, the mean of f (1 − f), f the fraction of d.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its ``effects`` are honoured.
+    level : (n,) array
+        Brightness relative to the exposure's peak.
+    """
+    sat = recording.effects.get("saturation", {}).get("sat", 0.0)
+    n = np.linspace(-4.0, 4.0, 81)
+    share = np.exp(-0.5 * n**2)
+    far = np.sqrt(3) * sat * np.square(level)[:, None] * share**2
+    share /= share.sum()
+    part = far - np.floor(far)
+    return np.asarray((part * (1 - part) + far**2) @ share - (far @ share) ** 2)
+
+
 def print_places(recording: Recording, nominal: Array) -> Array:
     """Where a mark printed at nominal (n, 2) [mm] lies on the board: grid errors, then the field ``shift``."""
     e = recording.effects

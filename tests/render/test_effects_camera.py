@@ -265,6 +265,23 @@ def test_charge_spills_by_the_square_of_the_brightness(sat, width):
     np.testing.assert_allclose(back, -sat * bright**2, atol=0.05 * sat)
 
 
+@pytest.mark.parametrize("sat", [0.2, 0.5])
+@pytest.mark.parametrize("width", [1.2, 2.4])
+def test_spilled_charge_widens_the_line_as_the_rays_say(sat, width):
+    """Variance along the columns that spilling adds, within 6 % of its largest: the crest falls between pixels."""
+    image, bright = ridge(width)
+    effects = {"saturation": {"sat": sat}}
+    out = spill(image, carry(image, effects), float(image.max()))
+    v = np.arange(len(image))[:, None]
+
+    def variance(of):
+        return ((v - (v * of).sum(axis=0) / of.sum(axis=0)) ** 2 * of).sum(axis=0) / of.sum(axis=0)
+
+    want = rays.spilled(Recording(Laser(), Mirror(), SCREEN, {"A": CAMERA}, (), effects=effects), bright)
+    assert want.max() > 0.15 * sat
+    np.testing.assert_allclose(variance(out) - variance(image), want, atol=0.06 * want.max())
+
+
 @pytest.mark.parametrize("scale", [0.3, 1.5])
 def test_the_trace_moves_with_its_brightness_as_the_field_says(scale):
     image, bright = ridge()

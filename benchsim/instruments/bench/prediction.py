@@ -105,13 +105,15 @@ class Asked(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """A trace as it is measured: (samples, 2) mm, the marks' residuals (m, 2) px, and the curve on the true board."""
+    """A trace as it is measured: (samples, 2) mm, the marks' residuals (m, 2) px, the curve on the true board, and what
+    the sensor adds to its squared width, (samples,) or a number [mm²]."""
 
     values: Mapping[str, float]
     block: Block
     points: Array
     residual: Array
     curve: Curve
+    spilled: Array | float
 
 
 @dataclass(frozen=True)
@@ -269,11 +271,13 @@ class Predict:
             if curve is None:
                 continue
             b = self.blocks[a.block]
-            points, residual = self._seen(a.values, b, a.truth, curve.points if shift is None else curve.points + shift)
+            light = curve.points if shift is None else curve.points + shift
+            points, residual = self._seen(a.values, b, a.truth, light)
             if np.isfinite(points).all():
                 o = b.observed
                 alike = len(points), len(o.points), len(o.profile_points), len(o.parting), b.response is None
-                seen.setdefault(alike, []).append((i, Seen(a.values, b, points, residual, curve)))
+                spilled = self._spilled(a, b, light, points)
+                seen.setdefault(alike, []).append((i, Seen(a.values, b, points, residual, curve, spilled)))
         for members in seen.values():
             for first in range(0, len(members), TOGETHER):
                 some = members[first : first + TOGETHER]
@@ -285,8 +289,23 @@ class Predict:
         camera = self.intrinsics(values, b)
         if not chain.active(truth) and camera is None:
             return points, np.zeros((len(b.kept), 2))
-        level = np.interp(np.linspace(0, 1, len(points)), np.linspace(0, 1, len(b.level)), b.level)
-        return chain.measured(truth, b.observed.view, points, level, camera)
+        return chain.measured(truth, b.observed.view, points, self._level(b, len(points)), camera)
+
+    def _level(self, b: Block, n: int) -> Array:
+        return np.asarray(np.interp(np.linspace(0, 1, n), np.linspace(0, 1, len(b.level)), b.level))
+
+    def _spilled(self, a: Asked, b: Block, light: Array, points: Array) -> Array | float:
+        """What blooming adds to the squared width [mm²]: along the columns, so far as they cross the trace."""
+        sat = a.truth.effects.get("saturation", {}).get("sat", 0.0)
+        if b.response is None or not sat:
+            return 0.0
+        others = {name: own for name, own in a.truth.effects.items() if name != "saturation"}
+        plain, _ = self._seen(a.values, b, replace(a.truth, effects=others), light)
+        along = np.gradient(plain, axis=0)
+        across = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+        level = self._level(b, len(points))
+        per_px = ((points - plain) * across).sum(axis=1) / (sat * np.maximum(level, 1e-3) ** 2)
+        return rays.spilled(a.truth, level) * per_px**2
 
     def truth(self, values: Mapping[str, float]) -> Recording:
         """The bench with the hypothesis' effects added to the file's, and the laser's nuisances."""
@@ -354,6 +373,8 @@ def _data(seen: Sequence[Seen]) -> list[Array]:
     light[..., 0] = [s.curve.width for s in seen]
     light[..., 1] = [s.curve.flux for s in seen]
     light[..., 0] **= 2
+    for row, s in zip(light, seen, strict=True):
+        row[:, 0] += s.spilled
     np.log(np.maximum(light[..., 1], 1e-30), out=light[..., 1])
     profiles = np.stack([s.block.observed.profile_points for s in seen])
     distance, _, at = signed_distances(points, np.concatenate([targets, profiles], axis=1), light)
