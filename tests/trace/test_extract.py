@@ -99,7 +99,7 @@ def test_speckle_does_not_narrow_the_line(tmp_path):
     Expectation: the mean logarithm of the width, over four patterns, within 0.006 of that of the line without speckle,
     three times what four patterns scatter.
     """
-    scene, light, state = exposed(6, 16)
+    scene, light, _ = exposed(6, 16)
     pose, means = pictures.true_pose(scene), []
     for seed in range(5):
         rng = np.random.default_rng([5, seed])
