@@ -25,7 +25,7 @@ from benchsim.bench.settings import from_vector
 from benchsim.instruments.bench import observables
 from benchsim.instruments.bench.prediction import SAMPLES, Predict
 from benchsim.instruments.bench.problem import build
-from benchsim.rays import predict, predict_many
+from benchsim.rays import Case, predict, predict_many
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 PRIOR = np.array([1.0] * 3 + [1.745e-3] * 4 + [0.2] * 3 + [1e-3] * 3)
@@ -84,12 +84,12 @@ def accuracy(recording: Recording, seed: int, draws: int = 10) -> tuple[float, f
 def together(recording: Recording, seed: int, rounds: int) -> None:
     """Print what predictions of many setting errors cost, one by one and together, and how far they differ."""
     rng = np.random.default_rng(seed)
-    exposure, none = recording.exposures[0], (0.0, 0.0, 0.0)
-    cases = [(recording, exposure, from_vector(PRIOR * rng.normal(size=13)), none) for _ in range(48)]
+    exposure = recording.exposures[0]
+    cases = [Case(recording, exposure, from_vector(PRIOR * rng.normal(size=13))) for _ in range(48)]
     for width in (False, True):
 
         def alone(width: bool = width) -> list[Curve]:
-            return [predict(r, e, errors, SAMPLES, width=width) for r, e, errors, _ in cases]
+            return [predict(r, e, errors, SAMPLES, width=width) for r, e, errors, *_ in cases]
 
         one = cost(alone, rounds, 1) / len(cases)
 

@@ -12,10 +12,11 @@ one bench of many whose numbers are arrays, so that the elements' own formulas w
 from benchsim.rays.camera import board_points, pixel_rays, project, project_board, see, spilled
 from benchsim.rays.curve import irradiance, irradiance_profiles, trace_curve
 from benchsim.rays.effects import EFFECTS
-from benchsim.rays.prediction import ghost, predict, predict_many
+from benchsim.rays.prediction import Case, ghost, predict, predict_many
 
 __all__ = [
     "EFFECTS",
+    "Case",
     "board_points",
     "ghost",
     "irradiance",

@@ -6,7 +6,7 @@ import math
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,19 @@ from benchsim.rays.width import widths
 
 Array = NDArray[np.float64]
 Shape = tuple[float, float, float]
-Case = tuple[Recording, Exposure, SettingErrors | None, Shape]
 
 TOGETHER = 64
 """Most cases worked out together: beyond, little is gained for the memory."""
+
+
+class Case(NamedTuple):
+    """What `predict` takes of one case."""
+
+    recording: Recording
+    exposure: Exposure
+    errors: SettingErrors | None = None
+    shape: Shape = (0.0, 0.0, 0.0)
+    blur: float = 0.0
 
 
 def bench_of(
@@ -104,25 +113,21 @@ def predict(
         raise BenchsimError(f"{exposure.name}: {error}") from None
 
 
-def predict_many(
-    cases: Sequence[Case], samples: int = 96, *, width: bool = True, blurs: Sequence[float] | None = None
-) -> list[Curve | None]:
+def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True) -> list[Curve | None]:
     """`predict` of many cases, worked out together where their benches differ in numbers alone: several times cheaper.
 
     Parameters
     ----------
-    cases : sequence of (recording, exposure, errors, shape)
-        As of `predict`, of any exposures. Cases of equal or no effects gain most; second surfaces, free fields, single
+    cases : sequence of Case
+        Of any exposures. Cases of equal or no effects gain most; second surfaces, free fields, single
         rays and physics mixed by amplitudes gain nothing.
     samples, width
         As `predict`.
-    blurs : sequence of float, optional
-        As `predict`, one for each case; default none.
 
     Returns
     -------
     list of Curve or None
-        Equal to `predict`'s to rounding; None where the light misses mirror or board.
+        Equal to `predict`'s to rounding, widths to 1e-7 mm; None where the light misses mirror or board.
 
     Raises
     ------
@@ -132,8 +137,7 @@ def predict_many(
     known: dict[Hashable, Elements] = {}
     shared: dict[Hashable, Any] = {}
     benches = []
-    blurs = blurs or [0.0] * len(cases)
-    for (recording, exposure, _, shape), stands, blur in zip(cases, _stand(cases), blurs, strict=True):
+    for (recording, exposure, _, shape, blur), stands in zip(cases, _stand(cases), strict=True):
         # By identity: recordings hold tables, which are compared slowly. The cases keep them alive.
         key = id(recording), id(exposure), shape
         if key not in known:

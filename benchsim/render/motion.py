@@ -20,6 +20,9 @@ from benchsim.render.effects import value
 EFFECTS = {"drift": ("dry", "drz"), "vibration": ("amp", "freq")}
 FIELDS = ("time",)
 
+TIMED = ("drift",)
+"""Effects by which light differs from one exposure to the next though everything stands alike."""
+
 _HOUR = 3600.0
 
 

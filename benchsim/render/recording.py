@@ -17,6 +17,7 @@ from benchsim.bench.place import Placement, SettingErrors, camera_pose, place
 from benchsim.bench.settings import OF_THE_SEAT, OF_THE_SETTING, from_vector, prior_sigma, screen_seats
 from benchsim.render.expander import ExpandedBeam, check_against_laser, expand
 from benchsim.render.irradiance import ScreenMap, irradiance
+from benchsim.render.motion import TIMED
 from benchsim.render.picture import Pose, photograph
 from benchsim.render.sensor import expose, signals, write_image
 
@@ -128,10 +129,6 @@ def draw_pose(camera: Camera, rng: np.random.Generator) -> Pose:
     eye = -rotation.T @ translation + POSE_POSITION * rng.standard_normal(3)
     rotation = cv2.Rodrigues(POSE_ANGLE * rng.standard_normal(3))[0] @ rotation
     return rotation, -rotation @ eye
-
-
-TIMED = ("drift",)
-"""Effects by which light differs from one exposure to the next though everything stands alike."""
 
 
 def _same_light(recording: Recording, exposure: Exposure, placement: Placement) -> tuple[object, ...]:

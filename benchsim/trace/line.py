@@ -29,7 +29,7 @@ from benchsim.trace.picture import (
 )
 from benchsim.trace.profile import Profiles, calm, fit_profiles, light_of, stretches
 from benchsim.trace.ridge import CoarseCurve
-from benchsim.trace.shape import Shape, fit_shape, legendre
+from benchsim.trace.shape import MAX_ORDER, Shape, fit_shape, legendre
 from benchsim.trace.start import centred_curve
 
 Array = NDArray[np.float64]
@@ -182,17 +182,22 @@ def _view(picture: Picture, band: Band, core: float) -> _View:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """``shape`` and ``profiles`` in units of n / ``zoom``; ``strong`` (k,): flux well above its noise."""
+    """``shape`` and ``profiles`` in units of (n − ``drift``) / ``zoom``; ``strong`` (k,): flux well above its noise."""
 
     shape: Shape
     profiles: Profiles
+    drift: Array
     zoom: Array
     strong: Mask
     slope_factor: Array | None
 
 
 def _fit(view: _View, span: tuple[float, float], core: float, half_width: float) -> _Fitted:
-    """Shape and profiles in turn: first with a rough noise and one width, then with the noise and widths found."""
+    """Shape and profiles in turn: first one shape with a rough noise, then with the noise, places and widths found.
+
+    A shape that changes along a curve which drifts off the line takes the drift for a change. Where the crest is
+    saturated nothing contradicts it, so shapes may change only about a curve that the profiles have corrected.
+    """
     band, open_rows = view.band, require(view.status)
     free = open_rows & ~(view.clipped & view.core).any(axis=1)
     if free.sum() < max(LEAST_PROFILES, FREE * open_rows.sum()):
@@ -213,16 +218,17 @@ def _fit(view: _View, span: tuple[float, float], core: float, half_width: float)
     light = view.light - slope[:, None] * band.n
     variance = _first_variance(view, light, background, flank)
     rows = open_rows & (flux > 0)
-    use, zoom = unsaturated, np.ones(len(band.t))
+    use, drift, zoom = unsaturated, np.zeros(len(band.t)), np.ones(len(band.t))
     profiles: Profiles | None = None
     for turn in range(3):
-        x = band.n / zoom[:, None]
+        x = (band.n - drift[:, None]) / zoom[:, None]
         near = use & (np.abs(x) <= half_width)
         pick = near & rows[:, None]
         row = np.nonzero(pick)[0]
         scale = (flux / zoom)[row]
         y = (light - background[:, None])[pick] / scale
-        shape = fit_shape(x[pick], band.t[row], y, scale**2 / variance[pick], span, core, half_width)
+        order = MAX_ORDER if turn else 0
+        shape = fit_shape(x[pick], band.t[row], y, scale**2 / variance[pick], span, core, half_width, order)
         weight = np.where(near, 1 / variance, 0.0)
         profiles = fit_profiles(x, light, weight, band.t, shape, profiles if turn == 2 else None)
         strong = open_rows & (profiles.flux > FAINT_SIGMA * profiles.flux_sigma)
@@ -238,12 +244,14 @@ def _fit(view: _View, span: tuple[float, float], core: float, half_width: float)
         variance = noise.variance(level, line)
         background, flux = near_by.background, np.maximum(near_by.flux * zoom, 1e-30)
         if turn == 0:
+            weight = profiles.shift_sigma[rows] ** -2
+            drift = smooth_curve(band.t[rows], profiles.shift[rows], weight, span)(band.t)
             zoom = _zoom(shape, profiles, band.t, rows, span)
         if view.clipped.any():
             use = unsaturated & (view.under + profiles.model < view.ceiling - 4 * np.sqrt(variance))
     assert profiles is not None
     stretch = stretches(x, light, np.where(near, 1 / variance, 0.0), band.t, shape, near_by)
-    return _Fitted(shape, replace(profiles, stretch=stretch), zoom, strong, slope_factor)
+    return _Fitted(shape, replace(profiles, stretch=stretch), drift, zoom, strong, slope_factor)
 
 
 def _first_variance(view: _View, light: Array, background: Array, flank: Mask) -> Array:
@@ -277,7 +285,7 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
     kept = require(status)
     status[kept & _misshapen(profiles, kept)] = MISSHAPEN
     kept = require(status)
-    offset = (profiles.shift + shape.centroid(t)) * zoom
+    offset = fitted.drift + (profiles.shift + shape.centroid(t)) * zoom
     sigma = profiles.shift_sigma * zoom
     threshold = stats.norm.isf(FALSE_ALARM / (2 * kept.sum()))
     for _ in range(3):

@@ -77,7 +77,7 @@ def fit_profiles(x: Array, y: Array, weight: Array, t: Array, shape: Shape, star
     else:
         at = Values(start.flux, start.shift, start.stretch, start.background)
     for _ in range(ITERATIONS):
-        step, normal, jacobian = _step(x, y, weight, t, shape, at)
+        step, normal, jacobian, weighted = _step(x, y, weight, t, shape, at)
         at = Values(
             at.flux + step[:, 0],
             np.clip(at.shift + np.clip(step[:, 1], -1.0, 1.0), -shape.core, shape.core),
@@ -98,7 +98,7 @@ def fit_profiles(x: Array, y: Array, weight: Array, t: Array, shape: Shape, star
         (weight > 0).sum(axis=1),
         model,
         line,
-        np.einsum("kam,km,kab,kbm->km", jacobian, weight, covariance, jacobian, optimize=True),
+        np.einsum("kam,kab,kbm->km", weighted, covariance, jacobian, optimize=True),
     )
 
 
@@ -127,12 +127,12 @@ def stretches(x: Array, y: Array, weight: Array, t: Array, shape: Shape, near: V
     a profile of few pixels has where its own fit has converged. Arguments as of `fit_profiles`; weights must not follow
     the profile's own noise either.
     """
-    step, _, _ = _step(x, y, weight, t, shape, near)
+    step, *_ = _step(x, y, weight, t, shape, near)
     return np.clip(near.stretch + step[:, 2], -1.0, 1.0)
 
 
-def _step(x: Array, y: Array, weight: Array, t: Array, shape: Shape, at: Values) -> tuple[Array, Array, Array]:
-    """One step (k, 4) of Gauss and Newton, with its normal matrices (k, 4, 4) and derivatives (k, 4, m)."""
+def _step(x: Array, y: Array, weight: Array, t: Array, shape: Shape, at: Values) -> tuple[Array, Array, Array, Array]:
+    """One step (k, 4) of Gauss and Newton, its normal matrices (k, 4, 4), its derivatives (k, 4, m), and weighted."""
     light, gradient = _model(x, t, shape, at.shift, at.stretch)
     flux = at.flux[:, None]
     residual = y - at.background[:, None] - flux * light
@@ -143,7 +143,7 @@ def _step(x: Array, y: Array, weight: Array, t: Array, shape: Shape, at: Values)
     # A stretch of 1 and a shift of the core are beyond any profile: as priors they keep undetermined ones finite.
     diagonal = np.einsum("kaa->ka", normal)
     diagonal += np.array([0.0, 1.0 / shape.core**2, 1.0, 0.0]) + 1e-9 * diagonal + 1e-30
-    return np.linalg.solve(normal, right[..., None])[..., 0], normal, jacobian
+    return np.linalg.solve(normal, right[..., None])[..., 0], normal, jacobian, weighted
 
 
 def _model(x: Array, t: Array, shape: Shape, shift: Array, stretch: Array) -> tuple[Array, tuple[Array, Array]]:

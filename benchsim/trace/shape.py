@@ -97,7 +97,14 @@ class Shape:
 
 
 def fit_shape(
-    x: Array, t: Array, y: Array, weight: Array, span: tuple[float, float], core: float, half_width: float
+    x: Array,
+    t: Array,
+    y: Array,
+    weight: Array,
+    span: tuple[float, float],
+    core: float,
+    half_width: float,
+    highest: int = MAX_ORDER,
 ) -> Shape:
     """Weighted least squares of a tensor spline: cubic across the line, Legendre along it, its order chosen by BIC.
 
@@ -114,6 +121,8 @@ def fit_shape(
         1/variance of y.
     span, core, half_width
         As in `Shape`.
+    highest : int
+        Of the Legendre orders to choose from; 0 for one shape all along.
     """
     knots = _knots(core, half_width)
     count = len(knots) - 4
@@ -121,7 +130,7 @@ def fit_shape(
     x, t, y, weight = x[order], t[order], y[order], weight[order]
     design = BSpline.design_matrix(np.clip(x, -half_width, half_width), knots, 3)
     value, first = design.data.reshape(-1, 4), design.indices.reshape(-1, 4)[:, 0]
-    terms = legendre(t, span, MAX_ORDER)
+    terms = legendre(t, span, highest)
     normal, right = _normal_equations(value, first, terms, y, weight, count)
     square = float(weight @ y**2)
     flat = np.linalg.solve(normal[0, 0] + 1e-9 * np.trace(normal[0, 0]) / count * np.eye(count), right[0])
@@ -129,7 +138,7 @@ def fit_shape(
     third = np.diff(np.eye(count), 3, axis=0)
     smooth = third.T @ third / peak**2
     best: tuple[float, Array, Array] | None = None
-    for j in range(MAX_ORDER + 1):
+    for j in range(highest + 1):
         prior = np.kron(np.eye(j + 1), smooth)
         prior[count:, count:] += np.eye(j * count) / (CHANGE * peak) ** 2
         block = normal[: j + 1, : j + 1].transpose(0, 2, 1, 3).reshape((j + 1) * count, -1) + prior

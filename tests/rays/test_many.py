@@ -10,7 +10,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import field
 from benchsim.bench.model import Physics
 from benchsim.bench.settings import from_vector
-from benchsim.rays import curve, predict, predict_many, prediction
+from benchsim.rays import Case, curve, predict, predict_many, prediction
 from benchsim.rays.bench import Bench
 from benchsim.rays.curve import beam_profiles, trace
 from benchsim.rays.phases import many_phases, sample_phases
@@ -18,7 +18,6 @@ from benchsim.rays.prediction import bench_of
 from benchsim.rays.stack import alike, groups, stacked
 
 PRIOR = np.array([1.0] * 3 + [1.745e-3] * 4 + [0.2] * 3 + [1e-3] * 3)
-NONE = (0.0, 0.0, 0.0)
 CAPS = {
     "pivot-offset": {"dr": 5.0},
     "canting": {"pyr": 10.0},
@@ -47,9 +46,9 @@ CAPS = {
 
 
 def equal(single, many):
-    """To 1e-9 mm, and as exactly in flux and phase."""
+    """To 1e-9 mm, and as exactly in flux and phase; widths of diffracted light to what its quadrature leaves."""
     assert np.abs(single.points - many.points).max() < 1e-9
-    assert np.abs(single.width - many.width).max() < 1e-9
+    assert np.abs(single.width - many.width).max() < 1e-7
     np.testing.assert_allclose(many.flux, single.flux, rtol=1e-9)
     np.testing.assert_allclose(many.phase, single.phase, atol=1e-11)
 
@@ -64,8 +63,9 @@ def cases_of(lab, seed, physics=None, exposure=None, names=tuple(CAPS)):
         recording = lab.bench(table, physics=physics)
         if rng.random() < 0.3:
             recording = replace(recording, laser=replace(recording.laser, beam_diameter=9.8, divergence=4.2e-3))
-        shape = (0.02, 0.05, -0.03) if rng.random() < 0.3 else NONE
-        out.append((recording, exposure or lab.exposure, from_vector(PRIOR * rng.normal(size=13)), shape))
+        shape = (0.02, 0.05, -0.03) if rng.random() < 0.3 else (0.0, 0.0, 0.0)
+        blur = 0.6 if rng.random() < 0.3 else 0.0
+        out.append(Case(recording, exposure or lab.exposure, from_vector(PRIOR * rng.normal(size=13)), shape, blur))
     return out
 
 
@@ -79,13 +79,13 @@ def test_many_equal_single_ones_with_every_effect(lab, physics, monkeypatch):
     # The second surfaces; what is worked out alone would be equal in any case.
     assert len(alone) == 2
     for case, many in zip(cases, found, strict=True):
-        equal(predict(*case[:3], 32, shape=case[3]), many)
+        equal(predict(*case[:3], 32, shape=case.shape, blur=case.blur), many)
 
 
 def test_benches_that_differ_in_what_shifts_the_light_alone(lab):
     """All paths to the board are the same; only places on it differ."""
     late = replace(lab.exposure, time=7200.0)
-    cases = [(lab.bench({"drift": {"dry": 0.1 * k, "drz": 0.05}}), late, None, NONE) for k in range(1, 4)]
+    cases = [Case(lab.bench({"drift": {"dry": 0.1 * k, "drz": 0.05}}), late) for k in range(1, 4)]
     for case, many in zip(cases, predict_many(cases, 24), strict=True):
         equal(predict(*case[:3], 24), many)
 
@@ -105,13 +105,13 @@ def test_what_cannot_be_stacked_is_worked_out_alone(lab):
     gated = replace(lab.exposure, facet=3)
     tilted = lab.bench({"axis-wobble": {"wob_c": 1.0}})
     cases = [
-        (lab.recording, lab.exposure, lab.off, NONE),
-        (lab.bench(physics=lab.pencil), lab.exposure, lab.off, NONE),
-        (lab.bench({"diffraction": {"fresnel": 0.4}}, physics=lab.geometric), lab.exposure, lab.off, NONE),
-        (lab.bench(fields={"height": heights}), lab.exposure, lab.off, NONE),
-        (tilted, gated, lab.off, NONE),
-        (tilted, gated, None, NONE),
-        (lab.recording, lab.exposure, None, NONE),
+        Case(lab.recording, lab.exposure, lab.off),
+        Case(lab.bench(physics=lab.pencil), lab.exposure, lab.off),
+        Case(lab.bench({"diffraction": {"fresnel": 0.4}}, physics=lab.geometric), lab.exposure, lab.off),
+        Case(lab.bench(fields={"height": heights}), lab.exposure, lab.off),
+        Case(tilted, gated, lab.off),
+        Case(tilted, gated),
+        Case(lab.recording, lab.exposure),
     ]
     for case, many in zip(cases, predict_many(cases, 24), strict=True):
         equal(predict(*case[:3], 24), many)
@@ -142,7 +142,7 @@ def test_the_closed_form_says_what_the_rays_of_every_element_say(lab, physics, m
 def test_light_beside_the_board_is_none_and_leaves_the_others_alone(lab):
     far = from_vector(np.array([0.0] * 5 + [0.9, 0.9] + [0.0] * 6))
     below = from_vector(np.array([0.0] * 6 + [-1.5] + [0.0] * 6))
-    cases = [(lab.recording, lab.exposure, e, NONE) for e in (lab.off, far, None, below)]
+    cases = [Case(lab.recording, lab.exposure, e) for e in (lab.off, far, None, below)]
     found = predict_many(cases, 24, width=False)
     for bad in (1, 3):
         with pytest.raises(BenchsimError):
@@ -155,7 +155,7 @@ def test_light_beside_the_board_is_none_and_leaves_the_others_alone(lab):
 
 def test_effects_that_do_not_exist_are_refused(lab):
     with pytest.raises(BenchsimError, match="no such effect"):
-        predict_many([(lab.bench({"gremlins": {"n": 1.0}}), lab.exposure, None, NONE)] * 2)
+        predict_many([Case(lab.bench({"gremlins": {"n": 1.0}}), lab.exposure)] * 2)
 
 
 def test_groups_hold_every_case_once_and_only_what_is_alike(lab):

@@ -8,7 +8,7 @@ import pytest
 
 from benchsim.bench.curve import signed_distance
 from benchsim.bench.model import Physics
-from benchsim.rays import predict, predict_many
+from benchsim.rays import Case, predict, predict_many
 
 TILTS = {"facet-tilts": {"tilt_1": 2.0, "tilt_4": -1.0}}
 
@@ -41,6 +41,6 @@ def test_shaking_adds_and_facets_that_agree_add_nothing(lab):
 
 def test_many_at_once_part_as_one_alone(lab):
     effects = [{"facet-tilts": {"tilt_rms": r}, "vibration": {"amp": 0.1 * r}} for r in (0.5, 1.0, 2.0)]
-    cases = [(lab.bench(e), lab.exposure, lab.off, (0.0, 0.0, 0.0)) for e in effects]
+    cases = [Case(lab.bench(e), lab.exposure, lab.off) for e in effects]
     for curve, case in zip(predict_many(cases, 24), cases, strict=True):
         np.testing.assert_allclose(curve.parting, predict(*case[:3], 24).parting, rtol=1e-9)

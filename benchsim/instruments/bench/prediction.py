@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 from benchsim import rays
 from benchsim.bench.curve import Curve, signed_distances
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.model import Camera, Exposure, Recording
+from benchsim.bench.model import Camera, Recording
 from benchsim.bench.place import SettingErrors
 from benchsim.bench.settings import NAMES, from_vector
 from benchsim.instruments.bench import chain
 from benchsim.instruments.bench.observed import Observed
+from benchsim.rays.curve import tangents
+from benchsim.rays.smooth import left_of
 
 Array = NDArray[np.float64]
 
@@ -183,9 +185,8 @@ class Predict:
         """
         key = self._key(values, block)
         if key not in self.cache:
-            recording, exposure, off, shape = self._case(Asked(values, block, truth))
+            recording, exposure, off, shape, blur = self._case(Asked(values, block, truth))
             width = self.blocks[block].response is not None
-            blur = self._blur(block)
             self._keep(key, rays.predict(recording, exposure, off, SAMPLES, width=width, shape=shape, blur=blur))
         return self.cache[key]
 
@@ -200,12 +201,7 @@ class Predict:
             if len(some) < 2:
                 continue
             try:
-                curves = rays.predict_many(
-                    [self._case(a) for a in some.values()],
-                    SAMPLES,
-                    width=width,
-                    blurs=[self._blur(a.block) for a in some.values()],
-                )
+                curves = rays.predict_many([self._case(a) for a in some.values()], SAMPLES, width=width)
             except BenchsimError:
                 # One of them holds a value that an element cannot take.
                 continue
@@ -235,13 +231,11 @@ class Predict:
             self.cache.pop(next(iter(self.cache)))
         self.cache[key] = curve
 
-    def _case(self, a: Asked) -> tuple[Recording, Exposure, SettingErrors, tuple[float, float, float]]:
+    def _case(self, a: Asked) -> rays.Case:
         b = self.blocks[a.block]
-        return a.truth, a.truth.exposures[b.observed.index], errors(a.values, b.setting), beam_shape(a.values)
-
-    def _blur(self, block: int) -> float:
-        response = self.blocks[block].response
-        return 0.0 if response is None else response.blur
+        blur = 0.0 if b.response is None else b.response.blur
+        exposure = a.truth.exposures[b.observed.index]
+        return rays.Case(a.truth, exposure, errors(a.values, b.setting), beam_shape(a.values), blur)
 
     def beyond(
         self, values: Mapping[str, float], block: int, truth: Recording, curve: Curve, shift: Array | None = None
@@ -301,10 +295,8 @@ class Predict:
             return 0.0
         others = {name: own for name, own in a.truth.effects.items() if name != "saturation"}
         plain, _ = self._seen(a.values, b, replace(a.truth, effects=others), light)
-        along = np.gradient(plain, axis=0)
-        across = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
         level = self._level(b, len(points))
-        per_px = ((points - plain) * across).sum(axis=1) / (sat * np.maximum(level, 1e-3) ** 2)
+        per_px = ((points - plain) * left_of(tangents(plain))).sum(axis=1) / (sat * np.maximum(level, 1e-3) ** 2)
         return rays.spilled(a.truth, level) * per_px**2
 
     def truth(self, values: Mapping[str, float]) -> Recording:
