@@ -2,7 +2,9 @@
 
 Every pixel near an edge is used once and none is interpolated, so their noise is independent and the covariance is
 honest. The model is a blurred step, I(d) = black + (contrast + slope s) Φ(d/σ), in coordinates where the lens'
-distortion is undone; its place is where blur, being symmetric, leaves it.
+distortion is undone; its place is where blur, being symmetric, leaves it. An edge that runs along the pixels is seen
+at few distances d: what the step is not like Φ moves it by up to 0.02 px. All edges of a picture together are seen at
+every distance, and show what the step is like.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 from scipy.special import ndtr
 
 from benchsim.bench.model import Camera
@@ -36,6 +39,15 @@ KURTOSIS_REACH = 3.0
 
 CELLS = 8
 """Cells along the black square of an AprilTag 36h11: 6 of data and a black border of one."""
+
+BEND_KNOTS = 0.25
+"""Knots of the common step's own shape [px]: a pixel's response has its corners half a pixel apart."""
+
+BEND_REACH = 4.0
+"""Blurs from the edge beyond which the series holds."""
+
+BEND = 0.03
+"""1 sigma of the prior on its coefficients, in units of the contrast: what few edges do not show is not made up."""
 
 _PRIOR_PIXELS = 30
 """Weight of the picture's typical scatter against an edge's own, in pixels: short edges measure theirs badly."""
@@ -144,8 +156,10 @@ def fit_edges(light: NDArray[np.float32], saturated: Mask, camera: Camera, edges
 
     Notes
     -----
-    Fails, and says so by ``used`` and ``scatter``, where something else covers the edge. Where light is not linear in
-    radiance (unknown gamma) all four edges of a mark move outward or inward by the same fraction of the blur.
+    Fails, and says so by ``used`` and ``scatter``, where something else covers the edge. Where all edges of a picture
+    run along the pixels at a few distances, as on a board seen square on, up to 0.01 px of what the step is not like
+    stay, and no covariance counts them. Where light is not linear in radiance (unknown gamma) all four edges of a mark
+    move outward or inward by the same fraction of the blur.
     """
     line = edges.line()
     cell = line.cell(edges)
@@ -169,7 +183,10 @@ def fit_edges(light: NDArray[np.float32], saturated: Mask, camera: Camera, edges
     common = _common_blur(band, fitted)
     fitted = _iterate(band, edges, fitted.line, fitted.shape, 1, common_blur=common, fit_kurtosis=True)
     fitted.shape[:, _KURTOSIS] = _common_kurtosis(band, fitted)
-    fitted = _iterate(band, edges, fitted.line, fitted.shape, 3, common_blur=_common_blur(band, fitted))
+    fitted = _iterate(band, edges, fitted.line, fitted.shape, 2, common_blur=_common_blur(band, fitted))
+    for _ in range(2):
+        bend = _common_bend(band, edges, fitted)
+        fitted = _iterate(band, edges, fitted.line, fitted.shape, 2, common_blur=_common_blur(band, fitted), bend=bend)
     line, shape = fitted.line, fitted.shape
     variance = np.maximum(fitted.variance, floor)
     scatter = variance / np.maximum(shape[:, _CONTRAST], 1e-6) ** 2
@@ -394,15 +411,64 @@ def _masked_median(values: NDArray, use: Mask) -> Array:
     return np.where(count > 0, median, 0.0)
 
 
-def _model(band: _Band, line: _Line, shape: Array, behind: Array) -> tuple[Array, list[Array], Array]:
+@dataclass(frozen=True)
+class _Bend:
+    """What the picture's own step adds to the series: odd in the distance, zero from ``reach`` [px] on."""
+
+    reach: float
+    values: Array
+    slopes: Array
+
+    def at(self, d: Array) -> tuple[Array, Array]:
+        """Value, and slope per px, at distances d [px]."""
+        q = np.minimum(np.abs(d) / self.reach, 1.0) * (len(self.values) - 1)
+        low = np.minimum(q.astype(np.intp), len(self.values) - 2)
+        part = q - low
+        value, slope = ((1 - part) * table[low] + part * table[low + 1] for table in (self.values, self.slopes))
+        return np.sign(d) * value, slope
+
+
+_STRAIGHT = _Bend(1.0, np.zeros(2), np.zeros(2))
+
+
+def _common_bend(band: _Band, edges: Edges, fitted: _Fitted) -> _Bend:
+    """The odd part of what the series leaves, from the pixels of all edges; behind the border is other light."""
+    line, shape = fitted.line, fitted.shape
+    behind = _behind(band, edges, line, shape)
+    light, _, _ = _model(band, line, shape, behind, _STRAIGHT)
+    _, d = band.coordinates(line)
+    reach = BEND_REACH * float(np.exp(np.median(shape[:, _BLUR])))
+    own = (fitted.weight > 0) & (np.abs(d) < reach) & (behind < 1e-3)
+    residual = ((band.light - light) / np.maximum(shape[:, _CONTRAST, None], 1e-6))[own]
+    pieces = max(4, round(reach / BEND_KNOTS))
+    knots = np.concatenate([[0.0] * 3, np.linspace(0.0, reach, pieces + 1), [reach] * 3])
+    # Zero at the edge, level with the series at the reach.
+    free = slice(1, -2)
+    design = BSpline.design_matrix(np.abs(d[own]), knots, 3)[:, free]
+    odd = np.sign(d[own]) * residual
+    right = design.T @ odd
+    normal = (design.T @ design).toarray()
+    variance = float(np.mean(odd**2)) if len(odd) else 1.0
+    coefficients = np.zeros(len(knots) - 4)
+    coefficients[free] = np.linalg.solve(normal + variance / BEND**2 * np.eye(len(normal)), right)
+    spline, grid = BSpline(knots, coefficients, 3), np.linspace(0.0, reach, 32 * pieces + 1)
+    return _Bend(reach, spline(grid), spline(grid, 1))
+
+
+def _model(
+    band: _Band, line: _Line, shape: Array, behind: Array, bend: _Bend = _STRAIGHT
+) -> tuple[Array, list[Array], Array]:
     """Model's light, its derivatives by the seven parameters, and the step 0 … 1 from black to white."""
     s, d = band.coordinates(line)
     black, contrast, slope, log_blur, kurtosis = (shape[:, i, None] for i in range(5))
     blur = np.exp(log_blur)
     step, bell, by_kurtosis = _blurred_step(d / blur, kurtosis)
     white = contrast + slope * s
-    gradient = white * bell / blur
-    derivative = [-gradient, -gradient * s, np.ones_like(s), step, step * s, -gradient * d, white * by_kurtosis]
+    bent, by_place = bend.at(d)
+    step = step + bent
+    gradient = white * (bell / blur + by_place)
+    by_blur = -white * bell / blur * d
+    derivative = [-gradient, -gradient * s, np.ones_like(s), step, step * s, by_blur, white * by_kurtosis]
     light = black + white * (step + behind)
     return light, derivative, step
 
@@ -452,6 +518,7 @@ def _iterate(
     *,
     common_blur: float | None = None,
     fit_kurtosis: bool = False,
+    bend: _Bend = _STRAIGHT,
 ) -> _Fitted:
     """Gauss–Newton steps; ``covariance`` of all parameters for pixels of unit variance, ``variance`` the residuals'."""
     shape = shape.copy()
@@ -459,7 +526,7 @@ def _iterate(
     for i in range(steps):
         if i % 3 == 0:
             behind = _behind(band, edges, line, shape)
-        light, derivative, step = _model(band, line, shape, behind)
+        light, derivative, step = _model(band, line, shape, behind, bend)
         residual = band.light - light
         weight = _weights(residual, band.use, band.use & (np.abs(step - 0.5) < 0.45))
         columns = np.stack([*derivative[:count], residual], axis=1)

@@ -103,6 +103,7 @@ def measure_line(picture: Picture, coarse: CoarseCurve, reach: float) -> Line:
     The centre is the centroid of the light across the curve: the line's mean shape is fitted to every profile, and the
     shape's centroid, in a window about itself and with the tails' moment, gives the position. Saturated pixels are left
     out, and those that the fitted line lifts to within four sigma of saturation, or only those that noise lowered stay.
+    Speckle that saturates a twentieth of the crest still makes a line one or two per cent too wide: expose shorter.
 
     Parameters
     ----------
@@ -248,10 +249,27 @@ def _fit(view: _View, span: tuple[float, float], core: float, half_width: float)
             drift = smooth_curve(band.t[rows], profiles.shift[rows], weight, span)(band.t)
             zoom = _zoom(shape, profiles, band.t, rows, span)
         if view.clipped.any():
-            use = unsaturated & (view.under + profiles.model < view.ceiling - 4 * np.sqrt(variance))
+            shot, grain = np.sqrt(noise.variance(level, np.zeros(1))), np.sqrt(noise.speckle) * line
+            use = _below_the_ceiling(view, view.under + line + background[:, None], shot, grain)
     assert profiles is not None
     stretch = stretches(x, light, np.where(near, 1 / variance, 0.0), band.t, shape, near_by)
     return _Fitted(shape, replace(profiles, stretch=stretch), drift, zoom, strong, slope_factor)
+
+
+def _below_the_ceiling(view: _View, level: Array, shot: Array, grain: Array) -> Mask:
+    """Pixels that noise does not clip: of those that it may, only the ones that it lowered would stay.
+
+    They are told by their neighbourhood's ``level``, not by their own light; ``shot`` is 1 sigma of the pixels' noise,
+    ``grain`` that of speckle. Four sigma off of the first; of speckle, which is large, two, or as many as leave `FREE`
+    of the profiles their crest: pixels clipped at 2 sigma lower a mean by 0.05.
+    """
+    open_rows, use = require(view.status), view.usable & ~view.clipped
+    for margin in (2.0, 1.0, 0.0):
+        below = use & (level + 4 * shot + margin * grain < view.ceiling)
+        cut = (view.core & view.usable & ~below).any(axis=1)
+        if np.mean(cut[open_rows]) <= 1 - FREE:
+            break
+    return below
 
 
 def _first_variance(view: _View, light: Array, background: Array, flank: Mask) -> Array:

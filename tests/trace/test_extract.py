@@ -95,6 +95,7 @@ def test_the_ridge_is_true_and_its_errors_honest(tmp_path, seed, bits, dark, jpe
 def test_speckle_does_not_narrow_the_line(tmp_path):
     """Scenario. Speckle of a fifth of the light, as large as a pixel. Weights and scales that follow a profile's own
     noise make lines narrower, by 2 % here, where profiles have few pixels: to a diagnosis, a beam of another curvature.
+    A few of the brightest pixels are saturated; to leave out all that might have been widened the line.
 
     Expectation: the mean logarithm of the width, over four patterns, within 0.006 of that of the line without speckle,
     three times what four patterns scatter.
@@ -104,7 +105,7 @@ def test_speckle_does_not_narrow_the_line(tmp_path):
     for seed in range(5):
         rng = np.random.default_rng([5, seed])
         field = gaussian_filter(rng.standard_normal(light.line.shape), 0.48)
-        line = light.line * np.maximum(1 + (0.2 if seed else 0.0) * field / field.std(), 0)
+        line = 0.7 * light.line * np.maximum(1 + (0.2 if seed else 0.0) * field / field.std(), 0)
         shots = [pictures.photograph(part + light.room, rng, 16) for part in (line, 0.0 * line)]
         photo, ground = (
             read_image(pictures.encode(tmp_path / name, shot, None), scene.camera, dark=name == "dark")

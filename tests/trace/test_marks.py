@@ -124,6 +124,24 @@ def test_corners_are_unbiased_and_their_covariance_is_honest(photograph_board, s
     assert 0.88 - chance < pulls.std() < 1.22 + chance
 
 
+@pytest.mark.parametrize("place", [(480.0, 90.0, -60.0), (470.0, -70.0, 110.0)])
+def test_edges_that_run_almost_along_the_pixels_are_not_drawn_to_them(photograph_board, place):
+    """Rationale: such an edge is seen at a few distances alone, and what the step is not like the fitted one moves it
+    the same way in every picture: a camera that blurs on its pixels' grid by 0.57 px moved marks by up to 0.02 px,
+    photograph and dark alike, which passed for a fault of the board. Set-up: 20 marks seen ten degrees off the board's
+    normal, their rows along the pixels' but for perspective, no noise. Expected: centres within 0.0035 px rms and 0.01
+    at worst."""
+    camera, _, _, marks = bench(2, 30, 5, 4)
+    camera = replace(camera, position=place, look_at=(0.0, 3.7, -5.3))
+    rotation, translation = camera_pose(camera)
+    seen = find_marks(photograph(exposed(photograph_board(camera, rotation, translation, marks, 0.57))), marks, camera)
+    truth = true_corners(camera, rotation, translation, marks)[[marks.ids.index(i) for i in seen.ids]]
+    off = (seen.corners - truth).mean(axis=1)[seen.measured.all(axis=1)]
+    assert len(off) >= 18
+    assert np.sqrt((off**2).mean()) < 0.0035
+    assert np.abs(off).max() < 0.01
+
+
 @pytest.mark.parametrize(("side", "bar"), [(14, 0.12), (120, 0.015)])
 def test_small_and_large_marks(photograph_board, side, bar):
     size, focal = ((480, 360), 500.0) if side < 100 else ((900, 700), 950.0)
