@@ -266,7 +266,7 @@ def _below_the_ceiling(view: _View, level: Array, shot: Array, grain: Array) -> 
     open_rows, use = require(view.status), view.usable & ~view.clipped
     for margin in (2.0, 1.0, 0.0):
         below = use & (level + 4 * shot + margin * grain < view.ceiling)
-        cut = (view.core & view.usable & ~below).any(axis=1)
+        cut = np.any(view.core & view.usable & ~below, axis=1)
         if np.mean(cut[open_rows]) <= 1 - FREE:
             break
     return below
