@@ -119,8 +119,8 @@ def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True
     Parameters
     ----------
     cases : sequence of Case
-        Of any exposures. Cases of equal or no effects gain most; second surfaces, free fields, single
-        rays and physics mixed by amplitudes gain nothing.
+        Of any exposures. Cases of equal or no effects gain most; second surfaces, free fields, single rays and physics
+        mixed by amplitudes gain nothing.
     samples, width
         As `predict`.
 

@@ -17,6 +17,7 @@ from scipy.interpolate import BSpline
 from scipy.special import ndtr
 
 from benchsim.bench.model import Camera
+from benchsim.trace.band import interpolate
 from benchsim.trace.lens import distort, undistort
 
 Array = NDArray[np.float64]
@@ -416,19 +417,15 @@ class _Bend:
     """What the picture's own step adds to the series: odd in the distance, zero from ``reach`` [px] on."""
 
     reach: float
-    values: Array
-    slopes: Array
+    table: Array
 
     def at(self, d: Array) -> tuple[Array, Array]:
         """Value, and slope per px, at distances d [px]."""
-        q = np.minimum(np.abs(d) / self.reach, 1.0) * (len(self.values) - 1)
-        low = np.minimum(q.astype(np.intp), len(self.values) - 2)
-        part = q - low
-        value, slope = ((1 - part) * table[low] + part * table[low + 1] for table in (self.values, self.slopes))
-        return np.sign(d) * value, slope
+        both = interpolate(self.table, np.abs(d) / self.reach * (len(self.table) - 1))
+        return np.sign(d) * both[..., 0], both[..., 1]
 
 
-_STRAIGHT = _Bend(1.0, np.zeros(2), np.zeros(2))
+_STRAIGHT = _Bend(1.0, np.zeros((2, 2)))
 
 
 def _common_bend(band: _Band, edges: Edges, fitted: _Fitted) -> _Bend:
@@ -452,7 +449,7 @@ def _common_bend(band: _Band, edges: Edges, fitted: _Fitted) -> _Bend:
     coefficients = np.zeros(len(knots) - 4)
     coefficients[free] = np.linalg.solve(normal + variance / BEND**2 * np.eye(len(normal)), right)
     spline, grid = BSpline(knots, coefficients, 3), np.linspace(0.0, reach, 32 * pieces + 1)
-    return _Bend(reach, spline(grid), spline(grid, 1))
+    return _Bend(reach, np.stack([spline(grid), spline(grid, 1)], axis=1))
 
 
 def _model(

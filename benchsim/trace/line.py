@@ -102,8 +102,9 @@ def measure_line(picture: Picture, coarse: CoarseCurve, reach: float) -> Line:
 
     The centre is the centroid of the light across the curve: the line's mean shape is fitted to every profile, and the
     shape's centroid, in a window about itself and with the tails' moment, gives the position. Saturated pixels are left
-    out, and those that the fitted line lifts to within four sigma of saturation, or only those that noise lowered stay.
-    Speckle that saturates a twentieth of the crest still makes a line one or two per cent too wide: expose shorter.
+    out, and those that their neighbourhood lifts to within four sigma of it, two of speckle: only the ones that noise
+    lowered would stay. Speckle that saturates a twentieth of the crest still makes a line one or two per cent too wide:
+    expose shorter.
 
     Parameters
     ----------

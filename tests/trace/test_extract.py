@@ -110,7 +110,10 @@ def test_a_crest_saturated_over_a_long_stretch_does_not_bend_the_line(tmp_path):
     assert abs(error_of(scene, trace)[cut].mean()) < 0.015
 
 
-def test_speckle_does_not_narrow_the_line(tmp_path):
+@pytest.mark.parametrize(
+    "exposure", [0.7, pytest.param(1.0, marks=pytest.mark.xfail(reason="5 % of the crest clip: 1 % too wide"))]
+)
+def test_speckle_does_not_narrow_the_line(tmp_path, exposure):
     """Scenario. Speckle of a fifth of the light, as large as a pixel. Weights and scales that follow a profile's own
     noise make lines narrower, by 2 % here, where profiles have few pixels: to a diagnosis, a beam of another curvature.
     A few of the brightest pixels are saturated; to leave out all that might have been widened the line.
@@ -123,7 +126,7 @@ def test_speckle_does_not_narrow_the_line(tmp_path):
     for seed in range(5):
         rng = np.random.default_rng([5, seed])
         field = gaussian_filter(rng.standard_normal(light.line.shape), 0.48)
-        line = 0.7 * light.line * np.maximum(1 + (0.2 if seed else 0.0) * field / field.std(), 0)
+        line = exposure * light.line * np.maximum(1 + (0.2 if seed else 0.0) * field / field.std(), 0)
         shots = [pictures.photograph(part + light.room, rng, 16) for part in (line, 0.0 * line)]
         photo, ground = (
             read_image(pictures.encode(tmp_path / name, shot, None), scene.camera, dark=name == "dark")
