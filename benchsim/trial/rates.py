@@ -13,7 +13,7 @@ def wilson(k: int, n: int, z: float) -> tuple[float, float]:
         return 0.0, 1.0
     p = k / n
     middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
+    return max(0.0, (middle - half) / (1 + z * z / n)), min(1.0, (middle + half) / (1 + z * z / n))
 
 
 def judged(k: int, n: int, bar: float, at_least: bool) -> str:
