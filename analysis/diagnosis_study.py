@@ -97,16 +97,17 @@ def conceal(row: str, on: Stage, rng: np.random.Generator) -> tuple[draw.Truth, 
 def visible(
     truth: draw.Truth, sight: draw.Sight, values: Mapping[str, float], bent: np.ndarray | None
 ) -> dict[str, Any]:
-    """SNR of each concealed thing, and the nearest rival of them all."""
+    """SNR of each concealed thing, the nearest rival of them all, and how far they are from any one of them."""
     snr: dict[str, float] = {}
     for name, own in truth.effects.items():
         snr[name] = float(np.linalg.norm(sight.change(own)))
     if bent is not None:
         snr[truth.stranger] = float(np.linalg.norm(bent))
-    rival = ("", float("inf"))
+    rival, alone = ("", float("inf")), float("inf")
     if truth.effects:
-        rival = sight.rival(sight.change(values), tuple(truth.effects))
-    return {"snr": snr, "rival": rival}
+        delta = sight.change(values)
+        rival, alone = sight.rival(delta, tuple(truth.effects)), draw.alone(sight, delta, values, truth.effects)
+    return {"snr": snr, "rival": rival, "alone": alone}
 
 
 def verdict_of(d: Diagnosis) -> dict[str, Any]:

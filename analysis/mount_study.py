@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from diagnosis_study import read, run, tell, verdict_of
 from numpy.typing import NDArray
+from study_cases import alone
 
 from benchsim.diagnosis.linear import whiten
 from benchsim.diagnosis.problem import Problem
@@ -232,7 +233,10 @@ def _case(row: str, seed: int, case: int) -> dict[str, Any]:
     snr = {e: float(np.linalg.norm(sight.change(v))) for e, v in truth.items()}
     if bent is not None:
         snr[strange] = float(np.linalg.norm(sight.through(whiten(problem, problem.covariance, bent.ravel() / unit)[0])))
-    rival = sight.rival(sight.change(values), tuple(truth)) if truth else ("", float("inf"))
+    rival, lone = ("", float("inf")), float("inf")
+    if truth:
+        delta = sight.change(values)
+        rival, lone = sight.rival(delta, tuple(truth)), alone(sight, delta, values, truth)
     start = time.process_time()
     without = tuple(truth) if row == "removed" else ()
     found = diagnose_session(judged, without=without)
@@ -247,6 +251,7 @@ def _case(row: str, seed: int, case: int) -> dict[str, Any]:
     return {
         "tier": "mounts", "row": row, "seed": seed, "case": case, "mount": f"{mount.axes} {mount.observes}", "n": n,
         "truth": {"effects": truth, "stranger": strange}, "truth_element": element, "snr": snr, "rival": rival,
+        "alone": lone,
         **verdict_of(d), "parameter_pulls": pulls, "aside": list(found.built.aside),
         "wrong": [s.records.names[k] for k in wrong], "sigma": on.sigma, "sigma_found": found.built.sigma,
         "cpu_s": time.process_time() - start,

@@ -7,7 +7,7 @@ realisation renders pictures, which are read back. Benches and effects are drawn
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from benchsim.trial.draws import (
     STRANGER_ELEMENT,
     STRANGERS,
     Sight,
+    amplitudes,
     as_effects,
     bench,
     draw_effect,
@@ -29,8 +30,8 @@ from benchsim.trial.draws import (
 )
 
 __all__ = [
-    "SNR", "STRANGERS", "STRANGER_ELEMENT", "Sight", "Truth", "as_effects", "bench", "draw_effect", "draw_stranger",
-    "noisy", "nuisances", "plain", "whiten",
+    "SNR", "STRANGERS", "STRANGER_ELEMENT", "Sight", "Truth", "alone", "as_effects", "bench", "draw_effect",
+    "draw_stranger", "noisy", "nuisances", "plain", "whiten",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -87,6 +88,22 @@ def nuisances(problem: Problem, truth: Truth, rng: np.random.Generator) -> dict[
         p.name: float(p.sigma * (truth.setting_scale if p.scaled else 1.0) * rng.standard_normal())
         for p in problem.nuisances
     }
+
+
+def alone(sight: Sight, delta: Array, values: Mapping[str, float], concealed: Collection[str]) -> float:
+    """Distance [sigma] of what several effects change together from what the nearest of them, refitted, does alone.
+
+    Below 3 the data do not show that there are several, whatever the SNR of each by itself. Linear, caps aside;
+    infinite for fewer than two effects.
+    """
+    if len(concealed) < 2:
+        return float("inf")
+    left = []
+    for effect in sight.problem.catalogue:
+        if effect.name in concealed:
+            own = np.stack([sight.column(p, values) for p in amplitudes(effect)], axis=1)
+            left.append(float(np.linalg.norm(delta - own @ np.linalg.lstsq(own, delta, rcond=1e-9)[0])))
+    return min(left)
 
 
 def plain(truth: Truth) -> dict[str, Any]:

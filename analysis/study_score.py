@@ -84,6 +84,10 @@ def table(cases: Iterable[Case]) -> str:
                 0.95,
             )
         )
+        # Where one of the two does it all by itself, a class of single effects is what the data allow.
+        two = [c for c in below if c.get("alone", math.inf) >= 3]
+        if len(two) < len(below):
+            lines.append(row("    of these more than 3 σ from either effect alone", two, holds, 0.95))
         sizes = [len(m) for c in below for m in c["classes"]]
         if sizes:
             lines.append(f"    mean size of those classes {np.mean(sizes):.2f}")
