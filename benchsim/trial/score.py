@@ -135,10 +135,10 @@ def bars(
     lacks = list(withheld)
     every = [(t, d) for t, d in cases if d is not None]
 
-    def of(*kinds: str, design: str | None = None) -> list[tuple[Plain, Plain]]:
+    def of(*kinds: str, design: str | None = None) -> list[tuple[Plain, Plain | None]]:
         return [
             (t, d)
-            for t, d in every
+            for t, d in cases
             if t["kind"] in kinds and not t["zero"] and (design is None or t["design"] == design)
         ]
 
@@ -150,12 +150,14 @@ def bars(
 
     def rate(
         quantity: str,
-        chosen: Sequence[tuple[Plain, Plain]],
+        chosen: Sequence[tuple[Plain, Plain | None]],
         hit: Callable[[Plain, Plain], bool],
         bar: float,
         at_least: bool = True,
     ) -> dict[str, Any]:
-        return Rate(quantity, sum(hit(t, d) for t, d in chosen), len(chosen), bar, at_least).plain()
+        # A case without a verdict was not found; nothing wrong was said of it either.
+        told = [(t, d) for t, d in chosen if d is not None]
+        return Rate(quantity, sum(hit(t, d) for t, d in told), len(chosen if at_least else told), bar, at_least).plain()
 
     def exact(t: Plain, d: Plain) -> bool:
         return claims.exact(t, d, lacks)
@@ -209,13 +211,17 @@ def bars(
         ("clean-settings", "nothing concealed, setting errors × 3: anything named", 0.05),
     ):
         out.append(rate(title, of(kind), said, bar, False))
-    zero = [(t, d) for t, d in every if t["zero"]]
+    zero = [c for c in cases if c[0]["zero"]]
     if zero:
         out.append(rate("amplitudes set to zero: anything named", zero, said, 0.02, False))
     for title, low, high, bar in (("SNR < 20", 0, 20, 0.10), ("SNR ≥ 20", 20, math.inf, 0.03)):
         chosen = [c for c in of("removed", "stranger") if low <= weakest(c[0]) < high]
         out.append(rate(f"not in the catalogue, {title}: a wrong name", chosen, wrong, bar, False))
-    placed = [c for c in of("removed", "stranger") if c[1]["location"] is not None and c[1]["location"]["claimed"]]
+    placed = [
+        (t, d)
+        for t, d in of("removed", "stranger")
+        if d is not None and d["location"] is not None and d["location"]["claimed"]
+    ]
     out.append(
         rate("location, when claimed: right", placed, lambda t, d: d["location"]["element"] == t["element"], 0.9)
     )

@@ -50,6 +50,22 @@ def test_evidence_is_the_dense_gaussian_integral():
     assert got.log_evidence - null.log_evidence == pytest.approx(gain + prior, abs=0.01)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_column_that_grew_beyond_reason_leaves_the_evidence_finite():
+    """Near a caustic a derivative can be 1e9 sigma per prior sigma: the data then fix that nuisance, and no more."""
+    problem = toy({"bow": 0.1}, 1, blocks=3)
+    found = naming.name(problem)
+    prepared = attachments.prepare(problem, found.noise.covariance)
+    wild = np.random.default_rng(5).standard_normal((len(problem.data), 1))
+
+    def gains(*columns):
+        linear = attachments.with_columns(found.null.linear, np.concatenate(columns, axis=1))
+        laid = attachments.weigh(problem, found, prepared, linear=linear)
+        return {a.attachment.name: a.log_evidence for a in laid}
+
+    assert gains(1e9 * wild, 1e9 * wild) == pytest.approx(gains(1e4 * wild), abs=1e-3)
+
+
 def contest(truth, seeds, **options):
     """ln Z of the best name over the best function, seed after seed."""
     out = []

@@ -105,6 +105,16 @@ def test_rows_are_chosen_by_visibility_and_rival():
     assert bar(many, "Fig. 7, SNR ≥ 8")["state"] == "open"
 
 
+def test_a_crash_counts_as_a_miss_and_as_no_false_name():
+    cases = [(truth(BOW), diagnosis(BOW)), (truth(BOW), None)]
+    named = bar(cases, "one effect, six settings, SNR ≥ 8, rival ≥ 5")
+    assert (named["k"], named["n"]) == (1, 2)
+    assert bar(cases, "one or two effects: a name that is not there")["n"] == 1
+    lost = [(truth(stranger="dent", snr=25.0), None)]
+    assert (bar(lost, "above 20: claimed")["k"], bar(lost, "above 20: claimed")["n"]) == (0, 1)
+    assert bar(lost, "location, when claimed")["n"] == 0
+
+
 def test_false_names_are_counted_where_they_belong():
     cases = [
         (truth(), diagnosis(BOW)),
