@@ -204,7 +204,7 @@ def _ground(
     n_cols, r = base.nuisance * use[:, None], base.residual * use
     s = np.where(base.scaled, naming.setting_scales[:, None], 1.0)
     # By the columns themselves: of their products, rounding leaves no positive matrix where one column is 1e8 long.
-    own = np.linalg.qr(n_cols, mode="r")
+    own: Array = np.asarray(np.linalg.qr(n_cols, mode="r"))
     stacked = np.concatenate([np.eye(s.shape[1]) / s[:, :, None], np.broadcast_to(own, (len(s), *own.shape))], axis=1)
     lower = np.swapaxes(np.linalg.qr(stacked, mode="r"), 1, 2)
     root = np.linalg.inv(lower)
