@@ -25,7 +25,7 @@ from scipy.linalg.lapack import dsytrd
 from scipy.special import logsumexp
 
 from benchsim.diagnosis.fits import Fit, Naming
-from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, predict_all, whiten
+from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, precision, predict_all, whiten
 from benchsim.diagnosis.problem import Attachment, Parameter, Problem
 
 Array = NDArray[np.float64]
@@ -203,12 +203,10 @@ def _ground(
     use = np.ones(len(base.residual), bool) if keep is None else keep
     n_cols, r = base.nuisance * use[:, None], base.residual * use
     s = np.where(base.scaled, naming.setting_scales[:, None], 1.0)
-    # By the columns themselves: of their products, rounding leaves no positive matrix where one column is 1e8 long.
-    own: Array = np.asarray(np.linalg.qr(n_cols, mode="r"))
-    stacked = np.concatenate([np.eye(s.shape[1]) / s[:, :, None], np.broadcast_to(own, (len(s), *own.shape))], axis=1)
-    lower = np.swapaxes(np.linalg.qr(stacked, mode="r"), 1, 2)
+    own = n_cols.T @ n_cols
+    lower = np.stack([precision(n_cols, row, own)[0] for row in s])
     root = np.linalg.inv(lower)
-    logdet = 2 * (np.log(np.abs(np.diagonal(lower, axis1=1, axis2=2))) + np.log(s)).sum(axis=1)
+    logdet = 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(s)).sum(axis=1)
     chi2 = r @ r - ((root @ (n_cols.T @ r)) ** 2).sum(axis=1)
     known = np.log(naming.scale_weights) - 0.5 * (chi2 + logdet)
     return _Ground(plain, n_cols, r, naming.setting_scales, known, root, offset)

@@ -27,6 +27,10 @@ TOGETHER = 64
 """Most predictions in one task: few enough that cores share the work evenly, enough that more would gain little."""
 
 
+CANCELLED = 1e-9
+"""Part of a column's square that is left of it beside the others, below which rounding speaks in the factor."""
+
+
 TINY = 8
 """Data of a block up to which all blocks of that size are worked on together."""
 
@@ -123,14 +127,25 @@ def precision(nuisance: Array, sigma: Array, own: Array | None = None) -> tuple[
 
     ``own`` is NᵀN, where it is there already.
 
-    Far from any fit columns are so long that their square has lost the prior: the factor is then found without it.
+    Far from any fit columns can be so long that their square has lost the prior; its factor is then found without it.
     """
     inner = np.diag(sigma**-2.0) + (nuisance.T @ nuisance if own is None else own)
     try:
-        return np.asarray(np.linalg.cholesky(inner), float), True
+        lower = np.asarray(np.linalg.cholesky(inner), float)
     except np.linalg.LinAlgError:
-        upper = np.linalg.qr(np.concatenate([nuisance, np.diag(1 / sigma)]), mode="r")
-        return (upper * np.sign(np.diag(upper))[:, None]).T, True
+        pass
+    else:
+        if (np.diag(lower) ** 2 > CANCELLED * np.diag(inner)).all():
+            return lower, True
+    upper = np.linalg.qr(np.concatenate([nuisance, np.diag(1 / sigma)]), mode="r")
+    return (upper * np.sign(np.diag(upper))[:, None]).T, True
+
+
+def posterior(columns: Array, sigma: Array, own: Array | None = None) -> Array:
+    """(NᵀN + S⁻²)⁻¹, arguments as in `precision`; never a negative variance."""
+    lower, _ = precision(columns, sigma, own)
+    root = solve_triangular(lower, np.eye(len(lower)), lower=True)
+    return np.asarray(root.T @ root)
 
 
 def marginal(linear: Linear, columns: Array, scale: float = 1.0, keep: NDArray[np.bool_] | None = None) -> Marginal:
@@ -160,8 +175,7 @@ def marginal(linear: Linear, columns: Array, scale: float = 1.0, keep: NDArray[n
 def nuisance_posterior(linear: Linear, residual: Array, scale: float = 1.0) -> tuple[Array, Array]:
     """Mean and covariance of the nuisances, in units of their prior sigma, given a whitened residual."""
     s = np.where(linear.scaled, scale, 1.0)
-    inner = np.diag(s**-2.0) + linear.nuisance.T @ linear.nuisance
-    covariance: Array = np.linalg.inv(inner).astype(float)
+    covariance = posterior(linear.nuisance, s)
     return covariance @ (linear.nuisance.T @ residual), covariance
 
 

@@ -42,7 +42,7 @@ from benchsim.diagnosis.descent import (
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import Fit
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, span, values
-from benchsim.diagnosis.linear import Linear
+from benchsim.diagnosis.linear import Linear, posterior
 
 Array = NDArray[np.float64]
 
@@ -313,7 +313,7 @@ def _posterior(
             for a, s in zip(h.amplitudes, h.sigmas(terms[j].field_sigma), strict=True)
         ]
         precision[p : p + k] += 1e-3 * np.array(squares)
-        covariance = np.linalg.inv(square + np.diag(precision))
+        covariance = posterior(both, precision**-0.5, square)
         means.append(covariance @ (projected - prior.slope))
         covariances.append(covariance)
         kept.append(weights[i, j])
