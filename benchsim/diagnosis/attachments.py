@@ -204,8 +204,8 @@ def _ground(
     n_cols, r = base.nuisance * use[:, None], base.residual * use
     s = np.where(base.scaled, naming.setting_scales[:, None], 1.0)
     own = n_cols.T @ n_cols
-    lower = np.stack([precision(n_cols, row, own)[0] for row in s])
-    root = np.linalg.inv(lower)
+    lower: Array = np.stack([precision(n_cols, row, own)[0] for row in s])
+    root: Array = np.asarray(np.linalg.inv(lower), float)
     logdet = 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(s)).sum(axis=1)
     chi2 = r @ r - ((root @ (n_cols.T @ r)) ** 2).sum(axis=1)
     known = np.log(naming.scale_weights) - 0.5 * (chi2 + logdet)

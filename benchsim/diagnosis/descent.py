@@ -246,11 +246,24 @@ def _downhill(model: _Model, prior: Prior, theta: Array, reach: float, s: float)
     return step, cost, residual
 
 
+def followed(
+    context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array
+) -> tuple[Array, float, Array, Array]:
+    """To the minimum of the second-order model about a point whose columns are given, at no prediction's cost.
+
+    Returns
+    -------
+    step, cost, whitened residual and columns there.
+    """
+    model = _model(context, h, state.theta, context.whiten(state.residual), known, own)
+    step, cost, residual = _downhill(model, prior, state.theta, FAR, 1.0)
+    return step, cost, residual, model.at(step)[1]
+
+
 def promised_by(context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array) -> float:
     """By how much the second-order model about a point, whose columns are given, lets −ln posterior fall."""
-    white = context.whiten(state.residual)
-    model = _model(context, h, state.theta, white, known, own)
-    return _tempered(prior, state.theta, white, 1.0) - _downhill(model, prior, state.theta, FAR, 1.0)[1]
+    before = _tempered(prior, state.theta, context.whiten(state.residual), 1.0)
+    return before - followed(context, h, prior, state, known, own)[1]
 
 
 def descend(

@@ -60,10 +60,28 @@ SLOW = 0.1
 """Part of a misfit beyond doubt that each of them has to take away: a hypothesis that is wrong by far is not followed
 through every valley."""
 
+BENT = 2.0
+"""Setting scale from which a fit's settings are taken to hide an effect, until others that begin at the stated ones
+have ended no better."""
+
 
 def misses(context: Context, solved: Solved) -> bool:
     """Whether a fit lies beyond what noise explains, so that its point says little about other hypotheses."""
     return excess(context.whiten(solved.residual)) > 0
+
+
+def bent(solved: Solved) -> bool:
+    """Whether a fit left the stated settings to be near the data.
+
+    Settings can imitate a strong effect to within the noise where they may be wrong by some stated sigma; what they
+    hide there, no linearisation about them shows.
+    """
+    return solved.fit.setting_scale >= BENT
+
+
+def strayed(context: Context, solved: Solved) -> bool:
+    """Whether a fit is no place for others to grow from."""
+    return misses(context, solved) or bent(solved)
 
 
 def _exact(context: Context, h: Hypothesis, theta: Array) -> Known:
@@ -111,8 +129,12 @@ def about(context: Context, h: Hypothesis, point: Point, residual: Array, known:
     """The problem linearised about a point, own amplitudes' columns as its effects."""
     k = len(h.amplitudes)
     pseudo = residual + known.columns @ point.nuisance + own[:, :k] @ point.amplitude
-    white = context.whiten(np.column_stack([pseudo, known.columns, own[:, :k]]))
-    p = known.columns.shape[1]
+    return linear_about(context, h, context.whiten(np.column_stack([pseudo, known.columns, own[:, :k]])))
+
+
+def linear_about(context: Context, h: Hypothesis, white: Array) -> Linear:
+    """The same of whitened columns: what x = 0, a = 0 would leave, nuisances, amplitudes."""
+    p = len(context.problem.nuisances)
     return Linear(
         white[:, 0],
         white[:, 1 : 1 + p],
@@ -122,6 +144,11 @@ def about(context: Context, h: Hypothesis, point: Point, residual: Array, known:
         context.problem.block,
         context.whiten.logdet,
     )
+
+
+def log_evidence(context: Context, lin: Linear, columns: Array, terms: Sequence[Term]) -> float:
+    """ln Z of a linearised hypothesis, without the prior of its presence."""
+    return float(logsumexp(_log_cells(context, lin, columns, terms)))
 
 
 def _log_cells(context: Context, lin: Linear, columns: Array, terms: Sequence[Term]) -> Array:

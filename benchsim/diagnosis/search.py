@@ -9,12 +9,12 @@ sets grow that way from the best refitted pairs.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis import classes, evidence, linear, refit, screen, starts
+from benchsim.diagnosis import classes, evidence, foresight, linear, refit, screen, starts
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects, Fit
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, values
@@ -46,16 +46,24 @@ RIVALS, NEARBY = 3, 6.0
 the null misses the data or a refit found more than was foretold, the right one of two that look alike may have been
 weighed wrong and never tried."""
 
+LOOKS, FORESEEN = 12, 15.0
+"""Hypotheses weighed about a strayed fit that are looked at by foresight before a refit is spent on them; and
+`MATTERS` for what was, which leaves out what bends to third order."""
+
 BORNE_OUT = 1.0
 """Difference in ln Z up to which a linearisation about a good fit and the refit it foretold check each other."""
 
 
 @dataclass
 class Table:
-    """ln Z of all hypotheses, and about whose fit each was weighed."""
+    """ln Z of all hypotheses, about whose fit each was weighed, and where foresight would have its fit begin.
+
+    ``begin`` is empty where foresight was asked and could not say.
+    """
 
     log_z: dict[Effects, float]
     source: dict[Effects, Effects]
+    begin: dict[Effects, tuple[Point, ...]] = field(default_factory=dict)
 
 
 def search(
@@ -64,20 +72,29 @@ def search(
     """Screen, refit, weigh again what contains the refitted, until nothing unfitted matters."""
     white = context.whiten(catalogue.columns)
     log_z = screen.screen(null.fit.linear, catalogue, white, context.scales, context.weights)
-    if refit.misses(context, null):
+    strayed, bent = refit.strayed(context, null), refit.bent(null)
+    if strayed:
         _screen_from_afar(context, catalogue, white, log_z)
     log_z[()] = null.fit.log_evidence
     table = Table(log_z, dict.fromkeys(log_z, ()))
+    for name in catalogue.effects if bent else ():
+        _foresee(context, catalogue, (name,), table)
     done: dict[Effects, Solved] = {(): null}
-    foretold, tried = not refit.misses(context, null), 1
+    foretold, tried, looks = not strayed, 1, 0
     while tried < refits + MORE:
         best = _best(done)
         left = [e for e in table.log_z if e not in done]
         if tried >= FEWEST:
             left = [e for e in left if table.log_z[e] >= best - _margin(table, done, e)]
-        if tried <= LONE and all(refit.misses(context, s) or not s.fit.converged for s in done.values()):
+        lost = all(refit.strayed(context, s) or not s.fit.converged for s in done.values())
+        if tried <= LONE and lost:
             # Nothing fits yet: two effects at once would be sought from a point that is no place to start from.
             left = [e for e in left if len(e) == 1] or left
+        if looks >= LOOKS and not lost:
+            # The most probable of what was weighed about the bent null proved to be less: so is the rest.
+            for e in [e for e in left if not table.source[e] and e not in table.begin]:
+                del table.log_z[e], table.source[e]
+            left = [e for e in left if e in table.log_z]
         if not left:
             break
         pick = max(left, key=lambda e: table.log_z[e])
@@ -88,10 +105,14 @@ def search(
         if tried == 1 and refit.misses(context, null):
             pick = starts.together(context) or pick
         source = done[table.source.get(pick, ())]
+        if bent and looks < LOOKS and source is null and pick not in table.begin:
+            looks += 1
+            _foresee(context, catalogue, pick, table)
+            continue
         tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * min(tried / refits, 1.0))
         tried += 1
         expected = table.log_z.get(pick, -np.inf)
-        solved = _refit(context, catalogue, pick, source, done, expected)
+        solved = _refit(context, catalogue, pick, source, done, expected, table.begin.get(pick, ()))
         done[pick] = solved
         foretold &= solved.fit.log_evidence < expected + BORNE_OUT
         table.log_z[pick], table.source[pick] = solved.fit.log_evidence, source.fit.effects
@@ -125,9 +146,12 @@ def _challenge(context: Context, catalogue: Catalogue, null: Solved, table: Tabl
             if effects not in done:
                 near[effects] = classes.separation(within, signal, effects)
     for effects in sorted((e for e in near if near[e] < NEARBY), key=lambda e: near[e])[:RIVALS]:
-        solved = _refit(context, catalogue, effects, null, done, -np.inf)
+        smaller = [s for e, s in done.items() if set(e) < set(effects) and s.fit.converged]
+        source = max(smaller, key=lambda s: s.fit.log_evidence, default=null)
+        expected = _log_z_about(context, catalogue, context.whiten(catalogue.columns), source, [effects])[effects]
+        solved = _refit(context, catalogue, effects, source, done, expected, table.begin.get(effects, ()))
         done[effects] = solved
-        table.log_z[effects], table.source[effects] = solved.fit.log_evidence, ()
+        table.log_z[effects], table.source[effects] = solved.fit.log_evidence, source.fit.effects
 
 
 def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_z: dict[Effects, float]) -> None:
@@ -146,6 +170,14 @@ def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_
         log_z[effects] = max(log_z[effects], log_z[()] + z - far[()])
 
 
+def _foresee(context: Context, catalogue: Catalogue, effects: Effects, table: Table) -> None:
+    """Weigh by foresight, where it can say, in place of what a strayed fit's linearisation said."""
+    found = foresight.foretell(context, _hypothesis(catalogue, effects))
+    table.begin[effects] = () if found is None else found.points
+    if found is not None:
+        table.log_z[effects] = found.log_evidence + screen.log_prior(effects, list(catalogue.effects))
+
+
 def _best(done: Mapping[Effects, Solved]) -> float:
     """ln Z of the best fit that converged: one that did not says nothing of what others could still reach."""
     return max((s.fit.log_evidence for s in done.values() if s.fit.converged), default=-np.inf)
@@ -155,6 +187,8 @@ def _margin(table: Table, done: Mapping[Effects, Solved], effects: Effects) -> f
     """How far behind the best a hypothesis may be and still has to be refitted."""
     source = done[table.source[effects]].fit
     best = _best(done)
+    if table.begin.get(effects) and not table.source[effects]:
+        return FORESEEN
     near = source.converged and source.log_evidence > best - MATTERS
     return IDLE if near and set(source.effects) < set(effects) else MATTERS
 
@@ -175,6 +209,7 @@ def _refit(
     source: Solved,
     done: Mapping[Effects, Solved],
     expected: float,
+    foreseen: tuple[Point, ...] = (),
 ) -> Solved:
     """Refit a hypothesis from the fit it was weighed about, checked from the stated settings.
 
@@ -202,11 +237,13 @@ def _refit(
         nuisance = source.point.nuisance if first == 0 else np.zeros(lin.nuisance.shape[1])
         points.append(Point(nuisance, np.array(amplitude), np.array(shape)))
     known, own, p, hold = _nearest(effects, done), None, lin.nuisance.shape[1], 0
-    if refit.misses(context, source):
+    if refit.strayed(context, source):
         # Nuisances that were bent to hide an effect are further from the truth than as stated.
         plain = replace(points[0], nuisance=np.zeros(p))
-        begun = [replace(plain, amplitude=q) for q in starts.scanned(context, h, source, plain.amplitude)]
-        begun = [b for b in begun if not np.array_equal(b.amplitude, plain.amplitude)]
+        begun = list(foreseen)
+        if not begun:
+            begun = [replace(plain, amplitude=q) for q in starts.scanned(context, h, source, plain.amplitude)]
+            begun = [b for b in begun if not np.array_equal(b.amplitude, plain.amplitude)]
         points, hold = [*begun, plain], len(begun)
         known = known if context.curvature is None else Known(context.curvature.first, np.zeros(p))
         if hold and any(e.whole for e in h.effects):
@@ -227,8 +264,9 @@ def _refit(
         # Laplace fails where an amplitude is too small to say where: the sum over the grid stands, about the best fit
         # of the rest. It asks for no convergence in a shape that has many peaks, only for that fit's.
         rest = max((s for e, s in done.items() if set(e) <= set(effects) - unseen), key=lambda s: s.fit.log_evidence)
-        summed = _log_z_about(context, catalogue, context.whiten(catalogue.columns), rest, [effects])[effects]
-        solved = replace(solved, fit=replace(solved.fit, log_evidence=summed, converged=rest.fit.converged))
+        if not refit.bent(rest):
+            summed = _log_z_about(context, catalogue, context.whiten(catalogue.columns), rest, [effects])[effects]
+            solved = replace(solved, fit=replace(solved.fit, log_evidence=summed, converged=rest.fit.converged))
     return solved
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import curvature, naming, settings, starts
+from benchsim.diagnosis import curvature, foresight, naming, settings, starts
 from benchsim.diagnosis.fits import Fit
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, whitener
 from benchsim.diagnosis.linear import linearise, predict_all
@@ -84,6 +84,31 @@ def test_a_start_is_sought_with_the_settings_columns_that_it_has_beside_the_effe
     stated = context.curvature.first
     far = starts.misfits(context, [{"q": TRUTH["q"]}] * 2, [stated, stated + TRUTH["q"] * change], [starts.AFAR])[0]
     assert far[1] < 20 and far[0] > 5 * far[1]
+
+
+def test_foresight_ranks_and_sizes_without_a_fit():
+    """Scenario: settings that may be wrong by 1.2 stated sigma take up what the aberration leaves. The second-order
+    model about the stated settings tells it from a slant, and its size to within what third order is worth; with one
+    amplitude a fit has two valleys at most to begin in."""
+    made = problem(TRUTH)
+    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    right, wrong = (foresight.foretell(context, Hypothesis((e,))) for e in CATALOGUE)
+    assert right.log_evidence > wrong.log_evidence + 100
+    assert abs(right.points[0].amplitude[0] - TRUTH["q"]) < 0.5
+    assert np.allclose(right.points[0].nuisance, [1.3, 0.8, -1.1, -1.2], atol=0.5)
+    signs = [np.sign(p.amplitude[0]) for p in right.points]
+    assert len(set(signs)) == len(signs) <= foresight.VALLEYS
+
+
+def test_foresight_says_when_it_cannot():
+    made = problem(TRUTH)
+    without = Context(made, whitener(made, made.covariance), *settings.grid())
+    assert foresight.foretell(without, Hypothesis(CATALOGUE[:1])) is None
+    context = replace(without, curvature=curvature.measure(made))
+    place = Parameter("q_place", "1", sigma=1.0, grid=(0.0, 1.0))
+    shaped = Effect("placed", "source", (AMPLITUDE, place))
+    assert foresight.foretell(context, Hypothesis((shaped,))) is None
+    assert foresight.foretell(context, Hypothesis((replace(CATALOGUE[0], whole=True),))) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
