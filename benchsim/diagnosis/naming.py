@@ -65,6 +65,7 @@ def name(
     catalogue = screen.expand(problem, solved.fit.values)
     remove = _removed(problem, catalogue, solved.known.columns)
     found = noise.estimate(problem, solved.residual, remove)
+    earlier: dict[Effects, Point] = {}
     for attempt in range(2):
         context = _context(problem, found, bends)
         hopeless = refit.misses(context, solved)
@@ -79,14 +80,14 @@ def name(
             rounds=1 if hopeless else None,
         )
         tell("weighing singles and pairs", 0.35)
-        table, done = search(context, catalogue, solved, refits, tell)
+        table, done = search(context, catalogue, solved, refits, tell, earlier)
         best = max(done.values(), key=lambda s: s.fit.log_evidence if s.fit.converged else -np.inf)
         if attempt or not best.fit.effects:
             break
         again = noise.estimate(problem, best.residual, remove)
         if not _moved(found, again):
             break
-        found = again
+        found, earlier = again, {e: s.point for e, s in done.items() if s.fit.converged}
     tell("weighing done", 1.0)
     return _naming(problem, context, catalogue, solved, table, done, found)
 

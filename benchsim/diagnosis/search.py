@@ -67,9 +67,17 @@ class Table:
 
 
 def search(
-    context: Context, catalogue: Catalogue, null: Solved, refits: int, tell: Progress
+    context: Context,
+    catalogue: Catalogue,
+    null: Solved,
+    refits: int,
+    tell: Progress,
+    earlier: Mapping[Effects, Point],
 ) -> tuple[Table, dict[Effects, Solved]]:
-    """Screen, refit, weigh again what contains the refitted, until nothing unfitted matters."""
+    """Screen, refit, weigh again what contains the refitted, until nothing unfitted matters.
+
+    ``earlier`` holds where fits ended when the same data were searched with noise that was estimated worse.
+    """
     white = context.whiten(catalogue.columns)
     log_z = screen.screen(null.fit.linear, catalogue, white, context.scales, context.weights)
     strayed, bent = refit.strayed(context, null), refit.bent(null)
@@ -79,6 +87,7 @@ def search(
     table = Table(log_z, dict.fromkeys(log_z, ()))
     for name in catalogue.effects if bent else ():
         _foresee(context, catalogue, (name,), table)
+    table.begin.update({e: (point,) for e, point in earlier.items() if e in table.begin})
     done: dict[Effects, Solved] = {(): null}
     foretold, tried, looks = not strayed, 1, 0
     while tried < refits + MORE:
@@ -258,7 +267,8 @@ def _refit(
     sure = bool(own_effects) and source.fit.converged and not refit.misses(context, source)
     solved = refit.fit(context, h, points[:1] if sure else points, known, own, prior, hold=hold)
     if sure and not (solved.fit.converged and abs(solved.fit.log_evidence - expected) < BORNE_OUT):
-        solved = refit.fit(context, h, points, known, own, prior)
+        # Checked from where it ended, not begun again.
+        solved = refit.fit(context, h, [solved.point, *points[1:]], solved.known, solved.own, prior)
     unseen = _unseen_shapes(h, solved.fit)
     if unseen:
         # Laplace fails where an amplitude is too small to say where: the sum over the grid stands, about the best fit
