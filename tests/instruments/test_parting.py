@@ -30,7 +30,7 @@ TILTS = np.array([0.35, 0.8, 0.3, -1.3, 0.9, 0.45, -0.5, 0.6, 0.4, 0.3, 0.0, 0.5
 """Of twelve facets [mrad]; their lines lie within 10 mm, some beside and some over each other."""
 
 
-def shown(exposure, tilts, rng, bent=0.0, shaken=0.0):
+def shown(exposure, tilts, rng, bent=0.0, shaken=0.0, bench=RECORDING):
     """What an exposure shows across its trace; tilts [mrad], bent [mrad] and shaken [mm] as `parting._shapes`."""
     observed = simulate_one(RECORDING, RECORDING.exposures.index(exposure))
     curve = rays.predict(RECORDING, exposure, width=False)
@@ -42,7 +42,7 @@ def shown(exposure, tilts, rng, bent=0.0, shaken=0.0):
     solved = np.zeros((6, 6)), np.zeros((0, 4, 2)), 1.0, np.zeros(0, bool), (), 0.0
     pose = Pose(view.rotation, view.translation, view.camera, *solved)
     blur = 0.7 * parting.mm_per_px(pose, blank.points, blank.normal)
-    places, (line,) = parting._shapes(RECORDING, exposure, blank, blur, 1e-3 * bent, (shaken,))
+    places, (line,) = parting._shapes(bench, exposure, blank, blur, 1e-3 * bent, (shaken,))
     lever = parting._lever(RECORDING, exposure, blank.points)
     lines = zip(q, lever, line, strict=True)
     light = np.array([np.mean([np.interp(x - t * u, places, y) for t in tilts], axis=0) for x, u, y in lines])
@@ -75,6 +75,15 @@ def test_a_single_line_however_broad_is_left_alone(bent, shaken):
     assert parting.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
     gated = replace(exposure, facet=3)
     assert parting.parted(RECORDING, gated, across, pose, 0.7, ridge) is None
+
+
+@pytest.mark.parametrize("coma", [(-0.034, -0.029), (0.062, 0.017), (-0.011, 0.095)])
+def test_a_single_line_of_a_beam_with_coma_is_left_alone(coma):
+    """Its light lies to one side with a tail on the other, as that of two lines may."""
+    bench = replace(RECORDING, effects={"coma": dict(zip(("coma_u", "coma_v"), coma, strict=True))})
+    for exposure in RECORDING.exposures[:2]:
+        across, pose, ridge, _ = shown(exposure, np.zeros(1), np.random.default_rng(13), bench=bench)
+        assert parting.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from benchsim import rays
 from benchsim.bench.curve import signed_distance
 from benchsim.bench.model import Exposure, Physics, Recording
-from benchsim.bench.place import place
 from benchsim.instruments.bench.observed import Observed, mm_per_px, no_shape, nominal, smooth_floor
+from benchsim.rays.cross_section import cross_sections
 from benchsim.trace.parting import CELLS, REACH, Across, Comb, comb, one_line
 from benchsim.trace.pose import Pose
 from benchsim.trace.table import Trace
@@ -43,6 +43,9 @@ BENT = (-8.0, -6.0, -4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
 
 SHAKEN = (0.0, 0.5, 1.0, 2.0, 4.0)
 """1 sigma of their shaking [mm]."""
+
+COMA, COMA_WAYS = (0.02, 0.035, 0.05, 0.07, 0.1), 12
+"""Coma of single lines, and directions in which each is tried."""
 
 SHARE = 0.3
 """Of one facet's light: less is no line."""
@@ -104,9 +107,9 @@ def parted(
     known = np.isfinite(across.sigma)
     usable = np.flatnonzero(known.mean(axis=1) > 0.5).tolist()
     blurred = blur * mm_per_px(pose, across.points, across.normal)
-    full = Physics(True, True, True)
+    full, bare = Physics(True, True, True), nominal(recording)
     # A simulation without beam has no profile; and whatever it leaves out is no facet's line.
-    stated = replace(recording, physics=recording.physics if recording.physics.beam else full)
+    stated = replace(bare, physics=bare.physics if bare.physics.beam else full)
     q, plain = _shapes(stated, exposure, across, blurred, 0.0, (0.0,))
     wide = np.array([(q[1] - q[0]) * (shape > 0.5 * shape.max()).sum() for shape in plain[0]])
     reach = REACH - wide.max()
@@ -116,8 +119,12 @@ def parted(
     if len(sample) < FEWEST or not _beaten(across, sample, q, plain[0], combs):
         return None
     sample = sample[:: max(1, len(sample) // 6)]
-    for bench, bent in product((stated, replace(recording, physics=full))[: 1 + (stated.physics != full)], BENT):
+    for bench, bent in product((stated, replace(bare, physics=full))[: 1 + (stated.physics != full)], BENT):
         for single in _shapes(bench, exposure, across, blurred, 1e-3 * bent, SHAKEN)[1]:
+            if not _beaten(across, sample, q, single, combs):
+                return None
+    for bench in _comatic(stated):
+        for single in _shapes(bench, exposure, across, blurred, 0.0, SHAKEN[:1])[1]:
             if not _beaten(across, sample, q, single, combs):
                 return None
     lever = _lever(recording, exposure, across.points)
@@ -262,15 +269,8 @@ def _shapes(
 ) -> tuple[Array, list[Array]]:
     """The stated bench's line behind the blur: places (n,) [mm], and for each shaking its light (stretch, n)."""
     q: Array = 0.05 * np.arange(-1200.0, 1201.0)
-    curve, light = rays.irradiance_profiles(
-        replace(recording.laser, divergence=recording.laser.divergence + bent),
-        recording.mirror,
-        recording.physics,
-        recording.screen,
-        place(recording.mirror, exposure),
-        q,
-        samples=8,
-    )
+    laser = replace(recording.laser, divergence=recording.laser.divergence + bent)
+    curve, light = cross_sections(replace(recording, laser=laser), exposure, q)
     at = np.interp(signed_distance(curve, across.points)[1], curve.arc_length(), np.arange(len(light)))
     first = np.minimum(at.astype(int), len(light) - 2)
     part = (at - first)[:, None]
@@ -281,6 +281,13 @@ def _shapes(
         blurred = np.fft.irfft(spectrum * np.exp(-0.5 * k**2 * (blur**2 + sigma**2)[:, None]), len(q), axis=1)
         out.append(np.maximum(blurred, 0.0) / blurred.max(axis=1, keepdims=True))
     return q, out
+
+
+def _comatic(recording: Recording) -> list[Recording]:
+    """The stated bench with a beam that has coma, whose light lies to one side with a tail, as two lines' may."""
+    angles = np.arange(COMA_WAYS) * 2 * np.pi / COMA_WAYS
+    sizes = [{"coma_u": c * float(np.cos(a)), "coma_v": c * float(np.sin(a))} for c in COMA for a in angles]
+    return [replace(recording, effects={"coma": size}) for size in sizes]
 
 
 def _lever(recording: Recording, exposure: Exposure, points: Array) -> Array:
