@@ -211,8 +211,8 @@ def _tempered(prior: Prior, theta: Array, white: Array, s: float) -> float:
     return 0.5 * float(white @ white) / s**2 + prior.cost(theta)
 
 
-def _downhill(model: _Model, prior: Prior, theta: Array, reach: float, s: float) -> tuple[Array, float, Array]:
-    """Minimum of the model within ``reach`` with noise s times larger: step, cost and whitened residual there.
+def _downhill(model: _Model, prior: Prior, theta: Array, reach: float, s: float) -> tuple[Array, float, Array, Array]:
+    """Minimum of the model within ``reach`` with noise s times larger: step, cost, whitened residual and columns there.
 
     Costs no prediction.
     """
@@ -243,27 +243,20 @@ def _downhill(model: _Model, prior: Prior, theta: Array, reach: float, s: float)
             radius *= 2
         if gained < DESCENT:
             break
-    return step, cost, residual
+    return step, cost, residual, white
 
 
 def followed(
     context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array
 ) -> tuple[Array, float, Array, Array]:
-    """To the minimum of the second-order model about a point whose columns are given, at no prediction's cost.
-
-    Returns
-    -------
-    step, cost, whitened residual and columns there.
-    """
+    """`_downhill` about a point whose columns are given, at no prediction's cost."""
     model = _model(context, h, state.theta, context.whiten(state.residual), known, own)
-    step, cost, residual = _downhill(model, prior, state.theta, FAR, 1.0)
-    return step, cost, residual, model.at(step)[1]
+    return _downhill(model, prior, state.theta, FAR, 1.0)
 
 
 def promised_by(context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array) -> float:
     """By how much the second-order model about a point, whose columns are given, lets −ln posterior fall."""
-    before = _tempered(prior, state.theta, context.whiten(state.residual), 1.0)
-    return before - followed(context, h, prior, state, known, own)[1]
+    return state.cost - followed(context, h, prior, state, known, own)[1]
 
 
 def descend(
@@ -282,7 +275,7 @@ def descend(
     for _ in range(RENEWALS):
         model = _model(context, h, state.theta, white, known, own)
         before = _tempered(prior, state.theta, white, s)
-        step, promised, expected = _downhill(model, prior, state.theta, reach, s)
+        step, promised, expected, _ = _downhill(model, prior, state.theta, reach, s)
         promise, length = before - promised, float(np.abs(step / prior.unit).max(initial=0.0))
         if not length or promise < DESCENT:
             if s == 1.0:

@@ -47,7 +47,7 @@ the null misses the data or a refit found more than was foretold, the right one 
 weighed wrong and never tried."""
 
 LOOKS, FORESEEN = 12, 15.0
-"""Hypotheses weighed about a strayed fit that are looked at by foresight before a refit is spent on them; and
+"""Hypotheses weighed about a bent null that are looked at by foresight before a refit is spent on them; and
 `MATTERS` for what was, which leaves out what bends to third order."""
 
 BORNE_OUT = 1.0
@@ -135,11 +135,13 @@ def search(
                 white = context.whiten(catalogue.columns)
             _weigh_again(context, catalogue, white, solved, table, done)
     if not foretold:
-        _challenge(context, catalogue, null, table, done)
+        _challenge(context, catalogue, white, null, table, done)
     return table, done
 
 
-def _challenge(context: Context, catalogue: Catalogue, null: Solved, table: Table, done: dict[Effects, Solved]) -> None:
+def _challenge(
+    context: Context, catalogue: Catalogue, white: Array, null: Solved, table: Table, done: dict[Effects, Solved]
+) -> None:
     """Refit what is close to the best fit and has one effect exchanged, if it never was."""
     best = max((s for s in done.values() if s.fit.converged), key=lambda s: s.fit.log_evidence, default=null)
     own, names = best.fit.effects, list(catalogue.effects)
@@ -157,7 +159,7 @@ def _challenge(context: Context, catalogue: Catalogue, null: Solved, table: Tabl
     for effects in sorted((e for e in near if near[e] < NEARBY), key=lambda e: near[e])[:RIVALS]:
         smaller = [s for e, s in done.items() if set(e) < set(effects) and s.fit.converged]
         source = max(smaller, key=lambda s: s.fit.log_evidence, default=null)
-        expected = _log_z_about(context, catalogue, context.whiten(catalogue.columns), source, [effects])[effects]
+        expected = _log_z_about(context, catalogue, white, source, [effects])[effects]
         solved = _refit(context, catalogue, effects, source, done, expected, table.begin.get(effects, ()))
         done[effects] = solved
         table.log_z[effects], table.source[effects] = solved.fit.log_evidence, source.fit.effects

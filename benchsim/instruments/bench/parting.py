@@ -119,12 +119,10 @@ def parted(
     if len(sample) < FEWEST or not _beaten(across, sample, q, plain[0], combs):
         return None
     sample = sample[:: max(1, len(sample) // 6)]
-    for bench, bent in product((stated, replace(bare, physics=full))[: 1 + (stated.physics != full)], BENT):
-        for single in _shapes(bench, exposure, across, blurred, 1e-3 * bent, SHAKEN)[1]:
-            if not _beaten(across, sample, q, single, combs):
-                return None
-    for bench in _comatic(stated):
-        for single in _shapes(bench, exposure, across, blurred, 0.0, SHAKEN[:1])[1]:
+    benches = (stated, replace(bare, physics=full))[: 1 + (stated.physics != full)]
+    tried = [(bench, 1e-3 * bent, SHAKEN) for bench, bent in product(benches, BENT)]
+    for bench, bent, shaken in [*tried, *((bench, 0.0, SHAKEN[:1]) for bench in _comatic(stated))]:
+        for single in _shapes(bench, exposure, across, blurred, bent, shaken)[1]:
             if not _beaten(across, sample, q, single, combs):
                 return None
     lever = _lever(recording, exposure, across.points)
