@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from benchsim.diagnosis import curvature, evidence
@@ -39,6 +38,9 @@ sigmas, the model may have missed all data together for it to fall."""
 
 RADIUS = 3.0
 """Prior sigmas by which a first step may move a parameter."""
+
+DAMPINGS = tuple(np.geomspace(1.0, 1e10, 21))
+"""Precision added to every parameter's, in units of its prior's, to shorten a step."""
 
 
 @dataclass(frozen=True)
@@ -115,15 +117,26 @@ def step_of(
     otherwise send those that they do not fix off the screen.
     """
     hessian, force = normal
-    step: Array = np.zeros(len(theta))
-    for damping in (0.0, *np.geomspace(1.0, 1e10, 21)):
+    damper = np.diag(prior.unit**-2.0)
+
+    def short(damping: float) -> Array | None:
         try:
-            step = _bounded(hessian + damping * np.diag(prior.unit**-2.0), force, prior, theta, p)
+            step = _bounded(hessian + damping * damper, force, prior, theta, p)
         except np.linalg.LinAlgError:
             # At a wild point rounding outweighs a direction's own curvature: damping gives it one.
-            continue
-        if np.abs(step / prior.unit).max(initial=0.0) <= radius:
-            break
+            return None
+        return step if np.abs(step / prior.unit).max(initial=0.0) <= radius else None
+
+    step = short(0.0)
+    if step is None:
+        # Steps shorten as damping grows: the least that is enough is found by halving.
+        low, high = 0, len(DAMPINGS)
+        while low < high:
+            middle = (low + high) // 2
+            tried = short(DAMPINGS[middle])
+            low, high, step = (middle + 1, high, step) if tried is None else (low, middle, tried)
+    if step is None:
+        step = np.zeros(len(theta))
     return step, float(force @ step - 0.5 * step @ hessian @ step)
 
 
@@ -141,8 +154,8 @@ def _bounded(hessian: Array, force: Array, prior: Prior, theta: Array, p: int) -
         low = np.maximum(prior.low - theta, -prior.reach)[p:] * unit
         high = np.minimum(prior.high - theta, prior.reach)[p:] * unit
         factor = np.linalg.cholesky(scaled)
-        target = solve_triangular(factor, pull / unit, lower=True)
-        own = solve_triangular(factor.T, target, lower=False)
+        target = np.linalg.solve(factor, pull / unit)
+        own = np.linalg.solve(factor.T, target)
         if (own < low).any() or (own > high).any():
             low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
             high = np.where(high > low, high, low + 1e-12)

@@ -103,28 +103,39 @@ def _ray_curve(bench: Bench, phase: Array, *, width: bool = True) -> Curve:
 
 def traces(benches: Sequence[Bench], samples: int = 96, *, width: bool = True) -> list[Curve | None]:
     """`trace` of benches that are `stack.alike`, worked out together; None where the light misses mirror or board."""
+    out, left = together(benches, samples, width=width)
+    for i in left:
+        out[i] = _or_none(benches[i], samples, width=width)
+    return out
+
+
+def together(
+    benches: Sequence[Bench], samples: int, *, width: bool = True, front: bool = False
+) -> tuple[list[Curve | None], list[int]]:
+    """Smooth traces of benches that are `stack.alike`, and the numbers of those that are not smooth enough for it.
+
+    None, too, where the light misses mirror or board. ``front`` as in `smooth.curves`.
+    """
     out: list[Curve | None] = [None] * len(benches)
     left = [i for i, bench in enumerate(benches) if stands(bench)]
     if not left:
-        return out
+        return out, left
     members = [benches[i] for i in left]
-    together = stacked(members)
-    phase = many_phases(together, members, samples)
+    stack = stacked(members)
+    phase = many_phases(stack, members, samples)
     lit = np.asarray(np.isfinite(phase).all(axis=1))
     left, phase = [i for i, on in zip(left, lit.tolist(), strict=True) if on], phase[lit]
-    for rule in smooth.rules(together):
+    for rule in smooth.rules(stack):
         if not left:
             break
         if len(left) < len(members):
             members = [benches[i] for i in left]
-            together = stacked(members)
-        found = smooth.curves(together, phase, rule, width=width)
+            stack = stacked(members)
+        found = smooth.curves(stack, phase, rule, width=width, front=front)
         for k in np.flatnonzero(found.resolved).tolist():
             out[left[k]] = found.curve(k)
         left, phase = [i for i in left if out[i] is None], phase[~found.resolved]
-    for i in left:
-        out[i] = _or_none(benches[i], samples, width=width)
-    return out
+    return out, left
 
 
 def _or_none(bench: Bench, samples: int, *, width: bool) -> Curve | None:

@@ -17,13 +17,11 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Physics, Recording
 from benchsim.bench.place import Placement, SettingErrors, place, places
 from benchsim.rays import stack
-from benchsim.rays.bench import Bench, nodes_needed
+from benchsim.rays.bench import Bench
 from benchsim.rays.curve import tangents, trace, traces
 from benchsim.rays.effects import Elements, elements
-from benchsim.rays.phases import axis_points, check, sample_phases
-from benchsim.rays.smooth import FAINT, left_of
-from benchsim.rays.sweep import cuts
-from benchsim.rays.width import widths
+from benchsim.rays.ghost import ghost_of, ghosts, pulled
+from benchsim.rays.smooth import left_of
 
 Array = NDArray[np.float64]
 Shape = tuple[float, float, float]
@@ -119,8 +117,8 @@ def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True
     Parameters
     ----------
     cases : sequence of Case
-        Of any exposures. Cases of equal or no effects gain most; second surfaces, free fields, single rays and physics
-        mixed by amplitudes gain nothing.
+        Of any exposures. Cases of equal or no effects gain most; free fields, single rays and physics mixed by
+        amplitudes gain nothing.
     samples, width
         As `predict`.
 
@@ -146,7 +144,7 @@ def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True
     out: list[Curve | None] = [None] * len(benches)
     for group in stack.groups(benches, TOGETHER):
         if len(group) > 1:
-            found = traces([benches[i] for i in group], samples, width=width)
+            found = _alike([benches[i] for i in group], samples, width=width)
         else:
             found = [_or_none(benches[i], samples, width=width) for i in group]
         for i, curve in zip(group, found, strict=True):
@@ -170,6 +168,17 @@ def _or_none(bench: Bench, samples: int, *, width: bool) -> Curve | None:
         return _mixture(bench, samples, width=width)
     except BenchsimError:
         return None
+
+
+def _alike(benches: Sequence[Bench], samples: int, *, width: bool) -> list[Curve | None]:
+    """Traces of benches that are `stack.alike`; behind glass as the ghost pulls them."""
+    if not benches[0].parts.polygon.glass:
+        return traces(benches, samples, width=width)
+    out = [
+        None if curve is None else pulled(curve, ghost)
+        for curve, ghost in zip(traces(benches, samples), ghosts(benches, samples), strict=True)
+    ]
+    return out if width else [None if curve is None else replace(curve, width=None) for curve in out]
 
 
 def _mixture(bench: Bench, samples: int, *, width: bool) -> Curve:
@@ -220,25 +229,10 @@ def _corner(bench: Bench, physics: Physics, samples: int, *, width: bool) -> Cur
 
 
 def _with_ghost(bench: Bench, samples: int, *, width: bool) -> Curve:
-    """The trace; behind glass with the pull of the front face's ghost where the two merge.
-
-    Two profiles of one width σ, the second a distance D off with a share f of the first's light, have the adaptive
-    centre f D exp(−D²/4σ²) to first order in f (`profile.adaptive`): all of f D where they coincide, nothing where they
-    are apart.
-    """
+    """The trace; behind glass as the front face's ghost pulls it."""
     if not bench.parts.polygon.glass:
         return trace(bench, samples, width=width)
-    curve = trace(bench, samples)
-    other = _ghost(bench, samples, width=False)
-    assert curve.width is not None and curve.flux is not None
-    if other is not None and other.flux is not None:
-        d, s = signed_distance(other, curve.points)
-        share = np.interp(s, other.arc_length(), other.flux) / curve.flux
-        inside = (s >= 0) & (s <= other.arc_length()[-1])
-        sigma = np.maximum(curve.width, 1e-6)
-        pull = np.where(inside, -d * share * np.exp(-0.25 * (d / sigma) ** 2), 0.0)
-        points = curve.points + pull[:, None] * left_of(tangents(curve.points))
-        curve = replace(curve, points=points)
+    curve = pulled(trace(bench, samples), ghosts([bench], samples)[0])
     return curve if width else replace(curve, width=None)
 
 
@@ -256,31 +250,4 @@ def ghost(
         does not meet the board.
     """
     bench = bench_of(recording, exposure, errors)
-    if not bench.parts.polygon.glass:
-        return None
-    return _ghost(bench, samples)
-
-
-def _ghost(bench: Bench, samples: int, *, width: bool = True) -> Curve | None:
-    """Light that the front face reflects, as if the glass were not there, with Fresnel's reflectance."""
-    check(bench)
-    bare = replace(bench, parts=replace(bench.parts, polygon=replace(bench.parts.polygon, glass=0.0)))
-    phase = sample_phases(bare, samples)
-    points = axis_points(bare, phase)
-    across, along = nodes_needed(bench) if bench.physics.beam else (1, 1)
-    start = phase[:, None, None]
-    for h in (1, along):
-        tangent = tangents(points)
-        nodes = cuts(bench, points, tangent, start, across, h, front=True)
-        flux = nodes.flux
-        bright = flux > FAINT * np.nanmax(flux, initial=0.0)
-        if bright.sum() < 4:
-            return None
-        nodes, points, tangent = nodes.only(bright), points[bright], tangent[bright]
-        centre = nodes.mean(nodes.q)
-        points, start = points + centre[:, None] * left_of(tangent), nodes.phase
-    nodes = nodes._replace(q=nodes.q - centre[:, None, None])
-    wide = None
-    if width:
-        wide = widths(bench, nodes) if bench.physics.beam else np.full(len(points), bench.parts.timing.shake)
-    return Curve(points, wide, nodes.flux, nodes.mean(nodes.phase))
+    return ghost_of(bench, samples) if bench.parts.polygon.glass else None

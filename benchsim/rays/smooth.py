@@ -90,16 +90,17 @@ def left_of(tangent: Array) -> Array:
     return np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
 
 
-def curves(bench: Bench, phase: Array, rule: Rule, *, width: bool = True) -> Smooth:
+def curves(bench: Bench, phase: Array, rule: Rule, *, width: bool = True, front: bool = False) -> Smooth:
     """Curves through the profiles of the axis ray's phases (samples,) or (bench, samples); NaN phases are not resolved.
 
-    ``bench`` may be a stack (`stack.stacked`), the phases then have the leading axis.
+    ``bench`` may be a stack (`stack.stacked`), the phases then have the leading axis. ``front`` is the light that the
+    front of the mirror's glass would reflect, of all facets at their mean lean.
     """
     with np.errstate(all="ignore"):
-        return _curves(bench, phase, rule, width)
+        return _curves(bench, phase, rule, width, front)
 
 
-def _curves(bench: Bench, phase: Array, rule: Rule, width: bool) -> Smooth:
+def _curves(bench: Bench, phase: Array, rule: Rule, width: bool, front: bool) -> Smooth:
     x, coefficients, slope = _nodes(rule.trace)
     first, length = phase[..., :1], phase[..., -1:] - phase[..., :1]
     at = first + 0.5 * length * (1 + x)
@@ -114,13 +115,14 @@ def _curves(bench: Bench, phase: Array, rule: Rule, width: bool) -> Smooth:
         tangent = step / np.sqrt((step**2).sum(axis=-1, keepdims=True))
         # The first round only finds where to cut.
         last = 1e-4 if h == 1 else LAST_STEP
-        raw = cuts(bench, points, tangent, start, across, h, kicks=width and h > 1, last_step=last)
+        kicks = width and h > 1
+        raw = cuts(bench, points, tangent, start, across, h, front=front, kicks=kicks, last_step=last)
 
         def finer(nodes: Profiles) -> Profiles:
             return _finer(bench, nodes, need)
 
         if h > 1:
-            fine = mixed(bench, raw, points, tangent, across, finer)
+            fine = finer(raw) if front else mixed(bench, raw, points, tangent, across, finer)
             if (across, along) != need:
                 resolved &= _node_tail(raw.q) < NODE_TAIL
         else:

@@ -24,8 +24,7 @@ FEWEST = 8
 def alike(bench: Bench) -> Hashable | None:
     """Benches of equal answers can be stacked; None: this one cannot, with any.
 
-    Left out are second surfaces, free fields, single rays, and physics mixed by amplitudes: they are rare, and their
-    predictions join several traces.
+    Left out are free fields, single rays, and physics mixed by amplitudes: they are rare.
     """
     parts, has = bench.parts, bench.physics
     polygon, source = parts.polygon, parts.source
@@ -35,7 +34,7 @@ def alike(bench: Bench) -> Hashable | None:
         or (source.beam and not has.beam)
         or (parts.diffraction and not has.diffraction)
     )
-    if not plain or mixed or polygon.glass or not has.beam:
+    if not plain or mixed or not has.beam:
         return None
     return (
         bench.mirror,
@@ -44,6 +43,7 @@ def alike(bench: Bench) -> Hashable | None:
         bench.facet,
         bench.laser.wavelength,
         _leans_differ(bench),
+        bool(polygon.glass),
         narrow(bench),
         nodes_needed(bench),
     )

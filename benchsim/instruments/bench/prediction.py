@@ -259,45 +259,75 @@ class Predict:
         self, asked: Sequence[Asked], curves: Sequence[Curve | None], shift: Array | None = None
     ) -> list[Array]:
         """`beyond` of many; `FAR` where there is no curve."""
+        lit = [(i, curve) for i, curve in enumerate(curves) if curve is not None]
+        lights = [curve.points if shift is None else curve.points + shift for _, curve in lit]
         out: dict[int, Array] = {}
         seen: dict[Any, list[tuple[int, Seen]]] = {}
-        for i, (a, curve) in enumerate(zip(asked, curves, strict=True)):
-            if curve is None:
-                continue
-            b = self.blocks[a.block]
-            light = curve.points if shift is None else curve.points + shift
-            points, residual = self._seen(a.values, b, a.truth, light)
+        measured = self._measured([asked[i] for i, _ in lit], lights)
+        spilled = self._spilled([asked[i] for i, _ in lit], lights, [points for points, _ in measured])
+        for (i, curve), (points, residual), more in zip(lit, measured, spilled, strict=True):
             if np.isfinite(points).all():
+                b = self.blocks[asked[i].block]
                 o = b.observed
                 alike = len(points), len(o.points), len(o.profile_points), len(o.parting), b.response is None
-                spilled = self._spilled(a, b, light, points)
-                seen.setdefault(alike, []).append((i, Seen(a.values, b, points, residual, curve, spilled)))
+                seen.setdefault(alike, []).append((i, Seen(asked[i].values, b, points, residual, curve, more)))
         for members in seen.values():
             for first in range(0, len(members), TOGETHER):
                 some = members[first : first + TOGETHER]
                 out.update(zip((i for i, _ in some), _data([s for _, s in some]), strict=True))
         return [out[i] if i in out else np.full(size(self.blocks[a.block]), FAR) for i, a in enumerate(asked)]
 
-    def _seen(self, values: Mapping[str, float], b: Block, truth: Recording, points: Array) -> tuple[Array, Array]:
-        """Coordinates in which light at true places of the board is measured, and what the marks show of it."""
-        camera = self.intrinsics(values, b)
-        if not chain.active(truth) and camera is None:
-            return points, np.zeros((len(b.kept), 2))
-        return chain.measured(truth, b.observed.view, points, self._level(b, len(points)), camera)
+    def _measured(self, asked: Sequence[Asked], lights: Sequence[Array]) -> list[tuple[Array, Array]]:
+        """Coordinates in which light at true places of the board is measured, and what the marks show of it.
+
+        Light that the same camera sees on the same board is seen at once: what the marks make of the pose is theirs.
+        """
+        out: list[tuple[Array, Array]] = [
+            (light, np.zeros((len(self.blocks[a.block].kept), 2))) for a, light in zip(asked, lights, strict=True)
+        ]
+        alike: dict[Any, list[int]] = {}
+        for i, a in enumerate(asked):
+            camera = self.intrinsics(a.values, self.blocks[a.block])
+            if camera is not None or chain.active(a.truth):
+                alike.setdefault((id(a.truth), a.block, camera), []).append(i)
+        for (_, block, camera), members in alike.items():
+            b, truth = self.blocks[block], asked[members[0]].truth
+            board = np.concatenate([lights[i] for i in members])
+            level = np.concatenate([self._level(b, len(lights[i])) for i in members])
+            points, residual = chain.measured(truth, b.observed.view, board, level, camera)
+            ends = np.cumsum([len(lights[i]) for i in members])[:-1]
+            for i, own in zip(members, np.split(points, ends), strict=True):
+                out[i] = own, residual
+        return out
 
     def _level(self, b: Block, n: int) -> Array:
         return np.asarray(np.interp(np.linspace(0, 1, n), np.linspace(0, 1, len(b.level)), b.level))
 
-    def _spilled(self, a: Asked, b: Block, light: Array, points: Array) -> Array | float:
+    def _spilled(
+        self, asked: Sequence[Asked], lights: Sequence[Array], measured: Sequence[Array]
+    ) -> list[Array | float]:
         """What blooming adds to the squared width [mm²]: along the columns, so far as they cross the trace."""
-        sat = a.truth.effects.get("saturation", {}).get("sat", 0.0)
-        if b.response is None or not sat:
-            return 0.0
-        others = {name: own for name, own in a.truth.effects.items() if name != "saturation"}
-        plain, _ = self._seen(a.values, b, replace(a.truth, effects=others), light)
-        level = self._level(b, len(points))
-        per_px = ((points - plain) * left_of(tangents(plain))).sum(axis=1) / (sat * np.maximum(level, 1e-3) ** 2)
-        return rays.spilled(a.truth, level) * per_px**2
+        out: list[Array | float] = [0.0] * len(asked)
+        wanted: list[int] = []
+        without: dict[int, Recording] = {}
+        for i, a in enumerate(asked):
+            effects = a.truth.effects
+            blooms = self.blocks[a.block].response is not None and effects.get("saturation", {}).get("sat", 0.0)
+            if blooms and np.isfinite(measured[i]).all():
+                wanted.append(i)
+                if id(a.truth) not in without:
+                    others = {name: own for name, own in effects.items() if name != "saturation"}
+                    without[id(a.truth)] = replace(a.truth, effects=others)
+        plain = self._measured(
+            [asked[i]._replace(truth=without[id(asked[i].truth)]) for i in wanted], [lights[i] for i in wanted]
+        )
+        for i, (points, _) in zip(wanted, plain, strict=True):
+            a = asked[i]
+            sat, level = a.truth.effects["saturation"]["sat"], self._level(self.blocks[a.block], len(points))
+            moved = ((measured[i] - points) * left_of(tangents(points))).sum(axis=1)
+            per_px = moved / (sat * np.maximum(level, 1e-3) ** 2)
+            out[i] = rays.spilled(a.truth, level) * per_px**2
+        return out
 
     def truth(self, values: Mapping[str, float]) -> Recording:
         """The bench with the hypothesis' effects added to the file's, and the laser's nuisances."""

@@ -1,0 +1,87 @@
+"""The front face of a second-surface mirror: the faint ridge that it draws, and its pull on the coating's trace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim.bench.curve import Curve, signed_distance
+from benchsim.bench.errors import BenchsimError
+from benchsim.rays.bench import Bench, nodes_needed
+from benchsim.rays.curve import tangents, together
+from benchsim.rays.phases import axis_points, sample_phases
+from benchsim.rays.smooth import FAINT, left_of
+from benchsim.rays.sweep import cuts
+from benchsim.rays.width import widths
+
+Array = NDArray[np.float64]
+
+
+def pulled(curve: Curve, ghost: Curve | None) -> Curve:
+    """The coating's trace with the pull of the front face's ghost where the two merge.
+
+    Two profiles of one width σ, the second a distance D off with a share f of the first's light, have the adaptive
+    centre f D exp(−D²/4σ²) to first order in f (`profile.adaptive`): all of f D where they coincide, nothing where they
+    are apart.
+    """
+    if ghost is None or ghost.flux is None:
+        return curve
+    assert curve.width is not None and curve.flux is not None
+    d, s = signed_distance(ghost, curve.points)
+    way = ghost.arc_length()
+    share = np.interp(s, way, ghost.flux) / curve.flux
+    sigma = np.maximum(curve.width, 1e-6)
+    pull = np.where((s >= 0) & (s <= way[-1]), -d * share * np.exp(-0.25 * (d / sigma) ** 2), 0.0)
+    return replace(curve, points=curve.points + pull[:, None] * left_of(tangents(curve.points)))
+
+
+def ghosts(benches: Sequence[Bench], samples: int) -> list[Curve | None]:
+    """Ghosts, without widths, of benches that are `stack.alike`; None where they do not meet the board.
+
+    Light that the front face reflects, as if the glass were not there, with Fresnel's reflectance.
+    """
+    bare = [_bare(bench) for bench in benches]
+    if not bare[0].physics.beam:
+        return [_whole(bench, samples, width=False) for bench in bare]
+    out, left = together(bare, samples, width=False, front=True)
+    for i in left:
+        out[i] = _whole(bare[i], samples, width=False)
+    return out
+
+
+def ghost_of(bench: Bench, samples: int) -> Curve | None:
+    """The ghost of one bench with its width, over the part of the board where it has light."""
+    return _whole(_bare(bench), samples, width=True)
+
+
+def _bare(bench: Bench) -> Bench:
+    return replace(bench, parts=replace(bench.parts, polygon=replace(bench.parts.polygon, glass=0.0)))
+
+
+def _whole(bare: Bench, samples: int, *, width: bool) -> Curve | None:
+    """From rays at all nodes, wherever along the trace there is light."""
+    try:
+        phase = sample_phases(bare, samples)
+    except BenchsimError:
+        return None
+    points = axis_points(bare, phase)
+    across, along = nodes_needed(bare) if bare.physics.beam else (1, 1)
+    start = phase[:, None, None]
+    for h in (1, along):
+        tangent = tangents(points)
+        nodes = cuts(bare, points, tangent, start, across, h, front=True)
+        flux = nodes.flux
+        bright = flux > FAINT * np.nanmax(flux, initial=0.0)
+        if bright.sum() < 4:
+            return None
+        nodes, points, tangent = nodes.only(bright), points[bright], tangent[bright]
+        centre = nodes.mean(nodes.q)
+        points, start = points + centre[:, None] * left_of(tangent), nodes.phase
+    nodes = nodes._replace(q=nodes.q - centre[:, None, None])
+    wide = None
+    if width:
+        wide = widths(bare, nodes) if bare.physics.beam else np.full(len(points), bare.parts.timing.shake)
+    return Curve(points, wide, nodes.flux, nodes.mean(nodes.phase))
