@@ -228,7 +228,9 @@ def _refit(
     """
     h = _hypothesis(catalogue, effects)
     lin = source.fit.linear
+    strayed = refit.strayed(context, source)
     nodes = starts.best_nodes(context, catalogue, h, source)
+    nodes = nodes[:1] if strayed else nodes
     at = source.fit.values
     own_effects = source.fit.effects
     points: list[Point] = []
@@ -248,7 +250,7 @@ def _refit(
         nuisance = source.point.nuisance if first == 0 else np.zeros(lin.nuisance.shape[1])
         points.append(Point(nuisance, np.array(amplitude), np.array(shape)))
     known, own, p, hold = _nearest(effects, done), None, lin.nuisance.shape[1], 0
-    if refit.strayed(context, source):
+    if strayed:
         # Nuisances that were bent to hide an effect are further from the truth than as stated.
         plain = replace(points[0], nuisance=np.zeros(p))
         begun = list(foreseen)

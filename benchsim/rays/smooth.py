@@ -38,10 +38,16 @@ class Rule(NamedTuple):
     tail: float = 1e-7
 
 
-RULES = (Rule(14, 6, 4), Rule(32, 6, 4), Rule(32, 9, 5), Rule(32, MOST, MOST, 1e-4))
-"""Tried in turn: setting errors and most effects need the first, plumes the second, beams of much coma the third. The
-last traces the rays at all nodes that the sum over the beam takes, as `curve.beam_profiles` would; where the beam all
-but misses the mirror, what Newton's method leaves of the phases is seen as a jitter of 1e-6 to 1e-5 along the trace."""
+PLAIN = Rule(14, 6, 4)
+"""Enough for setting errors and most effects."""
+
+COMA = Rule(14, 9, 5)
+"""Enough for beams with coma, up to its cap."""
+
+FINER = (Rule(32, 6, 4), Rule(32, 9, 5), Rule(32, MOST, MOST, 1e-4))
+"""Tried in turn; plumes need the first. The last traces the rays at all nodes that the sum over the beam takes, as
+`curve.beam_profiles` would; where the beam all but misses the mirror, what Newton's method leaves of the phases is seen
+as a jitter of 1e-6 to 1e-5 along the trace."""
 
 NODE_TAIL = 1e-5
 """The same over the facet's width and height [mm]: the mean over the beam hardly feels it."""
@@ -77,12 +83,10 @@ def rules(bench: Bench) -> tuple[Rule, ...]:
     free = parts.air.kick, parts.board.height, parts.source.angle
     if not bench.physics.beam or any(f is not None for f in free) or parts.polygon.uneven:
         return ()
-    return RULES[1:] if narrow(bench) else RULES
-
-
-def narrow(bench: Bench) -> bool:
-    """Whether something is known to change within a part of the trace."""
-    return some(bench.parts.air.plume[0])
+    narrow, coma = some(parts.air.plume[0]), some(*parts.source.coma)
+    if coma:
+        return FINER[1:] if narrow else (COMA, *FINER[1:])
+    return FINER if narrow else (PLAIN, *FINER)
 
 
 def left_of(tangent: Array) -> Array:

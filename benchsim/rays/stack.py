@@ -15,7 +15,7 @@ import numpy as np
 
 from benchsim.rays.bench import Bench, nodes_needed
 from benchsim.rays.laser import some
-from benchsim.rays.smooth import narrow
+from benchsim.rays.smooth import rules
 
 FEWEST = 8
 """Benches of the same effects that make a stack of their own; fewer share one whose formulas cover all of theirs."""
@@ -44,7 +44,7 @@ def alike(bench: Bench) -> Hashable | None:
         bench.laser.wavelength,
         _leans_differ(bench),
         bool(polygon.glass),
-        narrow(bench),
+        rules(bench),
         nodes_needed(bench),
     )
 
