@@ -13,6 +13,7 @@ from benchsim.bench.settings import from_vector
 from benchsim.rays import Case, curve, predict, predict_many, prediction
 from benchsim.rays.bench import Bench
 from benchsim.rays.curve import beam_profiles, trace
+from benchsim.rays.ghost import ghost_of, ghosts
 from benchsim.rays.phases import many_phases, sample_phases
 from benchsim.rays.prediction import bench_of
 from benchsim.rays.stack import alike, groups, stacked
@@ -185,8 +186,6 @@ def test_phases_of_a_stack_are_those_of_its_members(lab):
 def test_few_rays_say_what_dense_nodes_say(lab, name):
     """Traces by polynomials against `beam_profiles`, which assumes nothing of the kind, on disturbed settings."""
     rng = np.random.default_rng(3)
-    if name == "second-surface":
-        pytest.skip("its prediction is pulled by the ghost, which the dense nodes do not have")
     for _ in range(2):
         errors = from_vector(PRIOR * rng.normal(size=13))
         bench = bench_of(lab.bench({name: CAPS[name]} if name else {}), lab.exposure, errors)
@@ -196,3 +195,17 @@ def test_few_rays_say_what_dense_nodes_say(lab, name):
         distance, s = signed_distance(dense, few.points)
         assert np.abs(distance).max() < 2e-6
         assert np.abs(np.interp(s, dense.arc_length(), nodes.flux) / few.flux - 1)[1:-1].max() < 2e-6
+
+
+def test_a_ghost_of_few_rays_is_that_of_all_nodes(lab):
+    """Of thin and thick glass; asked for together, as the pull on traces needs it, and alone, as a ridge of its own."""
+    rng = np.random.default_rng(4)
+    benches = [
+        bench_of(lab.bench({"second-surface": {"glass": g}}), lab.exposure, from_vector(PRIOR * rng.normal(size=13)))
+        for g in (0.2, 1.0, 4.0)
+    ]
+    for bench, few in zip(benches, ghosts(benches, 48), strict=True):
+        dense = ghost_of(bench, 48)
+        distance, s = signed_distance(dense, few.points)
+        assert np.abs(distance).max() < 2e-6
+        assert np.abs(np.interp(s, dense.arc_length(), dense.flux) / few.flux - 1)[1:-1].max() < 2e-6
