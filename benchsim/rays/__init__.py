@@ -2,8 +2,8 @@
 
 `laser` (beam), `mirror` (turning facets), `air`, `screen` (board), `camera` (pixels), `timing` (drift, shaking): each
 declares its own effects, which `effects` gathers. `sweep` joins them at one phase and gives the profiles of the
-time-averaged trace, `diffraction`, `profile` and `width` what they look like, `curve` the trace of a bench, `ghost` what
-the front of a mirror's glass adds to it, and `prediction` the trace of a recording's exposure.
+time-averaged trace, `diffraction`, `profile` and `width` what they look like, `curve` the trace of a bench, `ghost`
+what the front of a mirror's glass adds, and `prediction` the trace of a recording's exposure.
 
 Predictions are asked for by the thousand. `smooth` therefore traces few rays where nothing has kinks, and `stack` makes
 one bench of many whose numbers are arrays, so that the elements' own formulas work out all of them in one pass.
