@@ -66,8 +66,10 @@ def name(
     remove = _removed(problem, catalogue, solved.known.columns)
     found = noise.estimate(problem, solved.residual, remove)
     earlier: dict[Effects, Point] = {}
+    context = _context(problem, found, bends)
     for attempt in range(2):
-        context = _context(problem, found, bends)
+        # How effects bend does not depend on the noise.
+        context = replace(_context(problem, found, bends), mixed=context.mixed)
         hopeless = refit.misses(context, solved)
         solved = refit.fit(
             context,
