@@ -224,17 +224,19 @@ def _tempered(prior: Prior, theta: Array, white: Array, s: float) -> float:
     return 0.5 * float(white @ white) / s**2 + prior.cost(theta)
 
 
-def _downhill(model: _Model, prior: Prior, theta: Array, reach: float, s: float) -> tuple[Array, float, Array, Array]:
+def _downhill(
+    model: _Model, prior: Prior, theta: Array, reach: float, s: float, least: float = DESCENT
+) -> tuple[Array, float, Array, Array]:
     """Minimum of the model within ``reach`` with noise s times larger: step, cost, whitened residual and columns there.
 
-    Costs no prediction.
+    Ends at a gain below ``least``. Costs no prediction.
     """
     step, radius = np.zeros(len(theta)), min(RADIUS, reach)
     residual, white = model.at(step)
     cost = _tempered(prior, theta, residual, s)
     for _ in range(STEPS):
         normal = normal_form(white / s, residual / s, prior, theta + step)
-        if step_of(normal, prior, theta + step, model.known.shape[1])[1] < DESCENT:
+        if step_of(normal, prior, theta + step, model.known.shape[1])[1] < least:
             break
         better = False
         for _ in range(SHRINKS):
@@ -254,43 +256,47 @@ def _downhill(model: _Model, prior: Prior, theta: Array, reach: float, s: float)
         (residual, white), step, gained, cost = tried, trial, cost - now, now
         if gained > 0.75 * expected:
             radius *= 2
-        if gained < DESCENT:
+        if gained < least:
             break
     return step, cost, residual, white
 
 
-def followed(
-    context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array
-) -> tuple[Array, float, Array, Array]:
-    """`_downhill` about a point whose columns are given, at no prediction's cost."""
-    model = _model(context, h, state.theta, context.whiten(state.residual), known, own)
-    return _downhill(model, prior, state.theta, FAR, 1.0)
-
-
 def promised_by(context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array) -> float:
     """By how much the second-order model about a point, whose columns are given, lets −ln posterior fall."""
-    return state.cost - followed(context, h, prior, state, known, own)[1]
+    model = _model(context, h, state.theta, context.whiten(state.residual), known, own)
+    return state.cost - _downhill(model, prior, state.theta, FAR, 1.0)[1]
 
 
 def descend(
-    context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array, columns_at: Columns
+    context: Context,
+    h: Hypothesis,
+    prior: Prior,
+    state: State,
+    known: Known,
+    own: Array,
+    columns_at: Columns,
+    *,
+    tempered: bool = True,
+    renewals: int = RENEWALS,
+    least: float = DESCENT,
 ) -> tuple[State, Array]:
     """To the minimum that stated settings lead to; also the own columns there.
 
     A residual of a thousand sigma says nothing about directions that nearly cancel: exact noise would follow the
     model's own errors along them. So noise is first taken as large as the residual, and falls as the second-order model
-    proves to be right.
+    proves to be right. Without that (``tempered`` false) it is the model's own minimum that is followed, and the data
+    are asked only whether it is better. Ends after ``renewals`` of the residual, or at a gain below ``least``.
     """
     white = context.whiten(state.residual)
     s = max(1.0, float(np.sqrt(white @ white / len(white))))
-    s = s if s > TEMPERED else 1.0
-    reach, exact = REACH, True
-    for _ in range(RENEWALS):
+    s = s if tempered and s > TEMPERED else 1.0
+    reach, exact = REACH if tempered else FAR, True
+    for _ in range(renewals):
         model = _model(context, h, state.theta, white, known, own)
         before = _tempered(prior, state.theta, white, s)
-        step, promised, expected, _ = _downhill(model, prior, state.theta, reach, s)
+        step, promised, expected, _ = _downhill(model, prior, state.theta, reach, s, least)
         promise, length = before - promised, float(np.abs(step / prior.unit).max(initial=0.0))
-        if not length or promise < DESCENT:
+        if not length or promise < least:
             if s == 1.0:
                 break
             s = max(1.0, s / COOLING)

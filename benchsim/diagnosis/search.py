@@ -46,9 +46,9 @@ RIVALS, NEARBY = 3, 6.0
 the null misses the data or a refit found more than was foretold, the right one of two that look alike may have been
 weighed wrong and never tried."""
 
-LOOKS, FORESEEN = 12, 15.0
+LOOKS, FORESEEN = 12, 9.0
 """Hypotheses weighed about a bent null that are looked at by foresight before a refit is spent on them; and
-`MATTERS` for what was, which leaves out what bends to third order."""
+`MATTERS` for what was: refits have ended up to 5 better or worse."""
 
 BORNE_OUT = 1.0
 """Difference in ln Z up to which a linearisation about a good fit and the refit it foretold check each other."""
@@ -85,8 +85,8 @@ def search(
         _screen_from_afar(context, catalogue, white, log_z)
     log_z[()] = null.fit.log_evidence
     table = Table(log_z, dict.fromkeys(log_z, ()))
-    for name in catalogue.effects if bent else ():
-        _foresee(context, catalogue, (name,), table)
+    if bent:
+        _foresee_all(context, catalogue, table)
     table.begin.update({e: (point,) for e, point in earlier.items() if e in table.begin})
     done: dict[Effects, Solved] = {(): null}
     foretold, tried, looks = not strayed, 1, 0
@@ -99,7 +99,7 @@ def search(
         if tried <= LONE and lost:
             # Nothing fits yet: two effects at once would be sought from a point that is no place to start from.
             left = [e for e in left if len(e) == 1] or left
-        if looks >= LOOKS and not lost:
+        if looks >= LOOKS and not (lost and refit.misses(context, null)):
             # The most probable of what was weighed about the bent null proved to be less: so is the rest.
             for e in [e for e in left if not table.source[e] and e not in table.begin]:
                 del table.log_z[e], table.source[e]
@@ -187,6 +187,17 @@ def _foresee(context: Context, catalogue: Catalogue, effects: Effects, table: Ta
     table.begin[effects] = () if found is None else found.points
     if found is not None:
         table.log_z[effects] = found.log_evidence + screen.log_prior(effects, list(catalogue.effects))
+
+
+def _foresee_all(context: Context, catalogue: Catalogue, table: Table) -> None:
+    """Single effects by foresight; by as much as one of them falls, pairs that it is in were weighed too high."""
+    screened = dict(table.log_z)
+    for name in catalogue.effects:
+        _foresee(context, catalogue, (name,), table)
+    fall = {name: min(0.0, table.log_z[(name,)] - screened[(name,)]) for name in catalogue.effects}
+    for effects in screened:
+        if len(effects) > 1:
+            table.log_z[effects] += sum(fall[name] for name in effects)
 
 
 def _best(done: Mapping[Effects, Solved]) -> float:

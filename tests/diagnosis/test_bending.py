@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import curvature, foresight, naming, settings, starts
+from benchsim.diagnosis import curvature, foresight, naming, screen, search, settings, starts
 from benchsim.diagnosis.fits import Fit
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, whitener
 from benchsim.diagnosis.linear import linearise, predict_all
@@ -87,17 +87,32 @@ def test_a_start_is_sought_with_the_settings_columns_that_it_has_beside_the_effe
 
 
 def test_foresight_ranks_and_sizes_without_a_fit():
-    """Scenario: settings that may be wrong by 1.2 stated sigma take up what the aberration leaves. The second-order
-    model about the stated settings tells it from a slant, and its size to within what third order is worth; with one
-    amplitude a fit has two valleys at most to begin in."""
+    """Scenario: settings that may be wrong by 1.2 stated sigma take up what the aberration leaves. Models followed from
+    the stated settings tell it from a slant, and its size; with one amplitude a fit has two valleys at most to begin
+    in."""
     made = problem(TRUTH)
     context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
     right, wrong = (foresight.foretell(context, Hypothesis((e,))) for e in CATALOGUE)
     assert right.log_evidence > wrong.log_evidence + 100
-    assert abs(right.points[0].amplitude[0] - TRUTH["q"]) < 0.5
-    assert np.allclose(right.points[0].nuisance, [1.3, 0.8, -1.1, -1.2], atol=0.5)
+    assert abs(right.points[0].amplitude[0] - TRUTH["q"]) < 0.05
+    assert np.allclose(right.points[0].nuisance, [1.3, 0.8, -1.1, -1.2], atol=0.1)
     signs = [np.sign(p.amplitude[0]) for p in right.points]
     assert len(set(signs)) == len(signs) <= foresight.VALLEYS
+
+
+@pytest.mark.parametrize("q", [-2.6, -0.1, 1.1])
+def test_foresight_comes_near_what_the_fit_finds(q):
+    """Scenario: settings three stated sigma off, and an amplitude whose prior sigma is a hundred sigma in the data. At
+    the first model's end its third order is worth hundreds; what is left after some more must be within the margin by
+    which a search leaves hypotheses out."""
+    truth = {"q": q, "s0": 0.33, "s1": -0.31, "o0": 1.8, "o1": -2.2}
+    made = problem(truth)
+    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    foretold = foresight.foretell(context, Hypothesis(CATALOGUE[:1]))
+    found = next(f for f in naming.name(made).fits if f.effects == ("aberration",))
+    fitted = found.log_evidence - screen.log_prior(found.effects, [e.name for e in CATALOGUE])
+    assert abs(foretold.log_evidence - fitted) < search.FORESEEN
+    assert abs(foretold.points[0].amplitude[0] - found.values["q"]) < 0.1
 
 
 def test_foresight_says_when_it_cannot():
