@@ -277,7 +277,7 @@ def descend(
     columns_at: Columns,
     *,
     tempered: bool = True,
-    renewals: int = RENEWALS,
+    renewals: int | None = None,
     least: float = DESCENT,
 ) -> tuple[State, Array]:
     """To the minimum that stated settings lead to; also the own columns there.
@@ -285,13 +285,13 @@ def descend(
     A residual of a thousand sigma says nothing about directions that nearly cancel: exact noise would follow the
     model's own errors along them. So noise is first taken as large as the residual, and falls as the second-order model
     proves to be right. Without that (``tempered`` false) it is the model's own minimum that is followed, and the data
-    are asked only whether it is better. Ends after ``renewals`` of the residual, or at a gain below ``least``.
+    are asked only whether it is better. Ends after ``renewals`` (default `RENEWALS`) of the residual, or at a gain below ``least``.
     """
     white = context.whiten(state.residual)
     s = max(1.0, float(np.sqrt(white @ white / len(white))))
     s = s if tempered and s > TEMPERED else 1.0
     reach, exact = REACH if tempered else FAR, True
-    for _ in range(renewals):
+    for _ in range(renewals or RENEWALS):
         model = _model(context, h, state.theta, white, known, own)
         before = _tempered(prior, state.theta, white, s)
         step, promised, expected, _ = _downhill(model, prior, state.theta, reach, s, least)
