@@ -285,7 +285,8 @@ def descend(
     A residual of a thousand sigma says nothing about directions that nearly cancel: exact noise would follow the
     model's own errors along them. So noise is first taken as large as the residual, and falls as the second-order model
     proves to be right. Without that (``tempered`` false) it is the model's own minimum that is followed, and the data
-    are asked only whether it is better. Ends after ``renewals`` (default `RENEWALS`) of the residual, or at a gain below ``least``.
+    are asked only whether it is better. Ends after ``renewals`` of the residual (default `RENEWALS`), or at a gain
+    below ``least``.
     """
     white = context.whiten(state.residual)
     s = max(1.0, float(np.sqrt(white @ white / len(white))))
