@@ -226,8 +226,8 @@ def _tempered(prior: Prior, theta: Array, white: Array, s: float) -> float:
 
 def _downhill(
     model: _Model, prior: Prior, theta: Array, reach: float, s: float, least: float = DESCENT
-) -> tuple[Array, float, Array, Array]:
-    """Minimum of the model within ``reach`` with noise s times larger: step, cost, whitened residual and columns there.
+) -> tuple[Array, float, Array]:
+    """Minimum of the model within ``reach`` with noise s times larger: step, cost and whitened residual there.
 
     Ends at a gain below ``least``. Costs no prediction.
     """
@@ -258,7 +258,7 @@ def _downhill(
             radius *= 2
         if gained < least:
             break
-    return step, cost, residual, white
+    return step, cost, residual
 
 
 def promised_by(context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array) -> float:
@@ -295,7 +295,7 @@ def descend(
     for _ in range(renewals or RENEWALS):
         model = _model(context, h, state.theta, white, known, own)
         before = _tempered(prior, state.theta, white, s)
-        step, promised, expected, _ = _downhill(model, prior, state.theta, reach, s, least)
+        step, promised, expected = _downhill(model, prior, state.theta, reach, s, least)
         promise, length = before - promised, float(np.abs(step / prior.unit).max(initial=0.0))
         if not length or promise < least:
             if s == 1.0:

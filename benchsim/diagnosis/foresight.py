@@ -2,9 +2,9 @@
 
 A null whose settings were bent to imitate an effect is no place to judge effects from: no linearisation about it shows
 what it hides. About the stated settings the second-order model (`curvature`) holds over some prior sigma of them; it is
-followed to its minimum, where the residual is asked again, and so on a few times. Derivatives are never made anew, so
-that this costs some ten predictions of the data. What it ends at ranks hypotheses, and is where their fits begin. Not
-an evidence to claim anything by: it need not have converged.
+followed to its minimum, where the residual is asked again, and so on a few times. The settings' derivatives are never
+made anew, so that this costs some sixty predictions of the data where a fit takes hundreds. What it ends at ranks
+hypotheses, and is where their fits begin. Not an evidence to claim anything by: it need not have converged.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis import descent, evidence, refit
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, values
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, values
 
 Array = NDArray[np.float64]
 
@@ -64,13 +64,12 @@ def foretell(context: Context, h: Hypothesis) -> Foretold | None:
         None where it cannot say: without a curvature, for shapes, which have many valleys, and for effects that are
         there as a whole or not at all.
     """
-    about = context.curvature
-    if about is None or h.shapes or any(e.whole for e in h.effects):
+    stated = context.stated()
+    if stated is None or h.shapes or any(e.whole for e in h.effects):
         return None
     p, k, terms = len(context.problem.nuisances), len(h.amplitudes), h.terms()
     middle = len(context.scales) // 2
     prior = descent.prior_of(context, h, context.scales[middle], terms[len(terms) // 2].field_sigma)
-    stated = Known(about.first, np.zeros(p))
 
     def columns_at(theta: Array) -> Array:
         return context.columns(values(context.problem, h, descent.point_of(theta, p, k)), h.amplitudes)

@@ -102,6 +102,10 @@ class Context:
         nuisances = self.problem.nuisances
         return self.columns(at, nuisances) * np.array([n.sigma for n in nuisances])
 
+    def stated(self) -> Known | None:
+        """Nuisances' columns about the stated settings, where they were measured."""
+        return None if self.curvature is None else Known(self.curvature.first, np.zeros(len(self.problem.nuisances)))
+
     def predict(self, at: Mapping[str, float]) -> Array:
         """`linear.predict_all`, counted."""
         self.count.predictions += len(self.problem.names)

@@ -129,11 +129,7 @@ def about(context: Context, h: Hypothesis, point: Point, residual: Array, known:
     """The problem linearised about a point, own amplitudes' columns as its effects."""
     k = len(h.amplitudes)
     pseudo = residual + known.columns @ point.nuisance + own[:, :k] @ point.amplitude
-    return linear_about(context, h, context.whiten(np.column_stack([pseudo, known.columns, own[:, :k]])))
-
-
-def linear_about(context: Context, h: Hypothesis, white: Array) -> Linear:
-    """The same of whitened columns: what x = 0, a = 0 would leave, nuisances, amplitudes."""
+    white = context.whiten(np.column_stack([pseudo, known.columns, own[:, :k]]))
     p = len(context.problem.nuisances)
     return Linear(
         white[:, 0],
@@ -262,8 +258,9 @@ def fit(
         checked += 1
         other = begin(context, h, prior, starts[checked])
         if np.isfinite(other.cost):
-            start = known if context.curvature is None else Known(context.curvature.first, np.zeros(p))
-            other, its = descend(context, h, prior, other, start, columns_at(other.theta), columns_at)
+            other, its = descend(
+                context, h, prior, other, context.stated() or known, columns_at(other.theta), columns_at
+            )
             if other.cost < state.cost - still(context, state.residual):
                 state, own, converged = other, its, False
                 continue

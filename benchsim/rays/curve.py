@@ -118,14 +118,15 @@ def together(
     """
     out: list[Curve | None] = [None] * len(benches)
     left = [i for i, bench in enumerate(benches) if stands(bench)]
-    if not left:
+    rules = smooth.rules(benches[0])
+    if not left or not rules:
         return out, left
     members = [benches[i] for i in left]
     stack = stacked(members)
     phase = many_phases(stack, members, samples)
     lit = np.asarray(np.isfinite(phase).all(axis=1))
     left, phase = [i for i, on in zip(left, lit.tolist(), strict=True) if on], phase[lit]
-    for rule in smooth.rules(stack):
+    for rule in rules:
         if not left:
             break
         if len(left) < len(members):

@@ -44,8 +44,6 @@ def ghosts(benches: Sequence[Bench], samples: int) -> list[Curve | None]:
     Light that the front face reflects, as if the glass were not there, with Fresnel's reflectance.
     """
     bare = [_bare(bench) for bench in benches]
-    if not bare[0].physics.beam:
-        return [_whole(bench, samples, width=False) for bench in bare]
     out, left = together(bare, samples, width=False, front=True)
     for i in left:
         out[i] = _whole(bare[i], samples, width=False)

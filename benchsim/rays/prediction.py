@@ -21,6 +21,7 @@ from benchsim.rays.bench import Bench
 from benchsim.rays.curve import tangents, trace, traces
 from benchsim.rays.effects import Elements, elements
 from benchsim.rays.ghost import ghost_of, ghosts, pulled
+from benchsim.rays.phases import check
 from benchsim.rays.smooth import left_of
 
 Array = NDArray[np.float64]
@@ -248,6 +249,14 @@ def ghost(
     Curve or None
         ``flux`` in the units of `predict`'s, so that their ratio is the ghost's relative brightness. None too where it
         does not meet the board.
+
+    Raises
+    ------
+    BenchsimError
+        Laser below the horizon or behind the mirror.
     """
     bench = bench_of(recording, exposure, errors)
-    return ghost_of(bench, samples) if bench.parts.polygon.glass else None
+    if not bench.parts.polygon.glass:
+        return None
+    check(bench)
+    return ghost_of(bench, samples)
