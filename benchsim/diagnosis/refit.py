@@ -24,6 +24,7 @@ from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, settings
 from benchsim.diagnosis.descent import (
+    TEMPERED,
     State,
     begin,
     carried,
@@ -68,6 +69,12 @@ have ended no better."""
 def misses(context: Context, solved: Solved) -> bool:
     """Whether a fit lies beyond what noise explains, so that its point says little about other hypotheses."""
     return excess(context.whiten(solved.residual)) > 0
+
+
+def near(context: Context, h: Hypothesis, point: Point) -> bool:
+    """Whether a point, fitted or not, is as near the data as a descent with the noise as it is may begin."""
+    white = context.whiten(context.problem.data - context.predict(values(context.problem, h, point)))
+    return float(white @ white) <= TEMPERED**2 * len(white)
 
 
 def bent(solved: Solved) -> bool:

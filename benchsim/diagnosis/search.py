@@ -269,7 +269,10 @@ def _refit(
             begun = [b for b in begun if not np.array_equal(b.amplitude, plain.amplitude)]
         points, hold = [*begun, plain], len(begun)
         known = context.stated() or known
-        if hold and any(e.whole for e in h.effects):
+        if foreseen and refit.near(context, h, foreseen[0]):
+            # Foresight came near the data from the stated settings: nothing need be led or checked from those again.
+            points, hold = list(foreseen), 0
+        elif hold and any(e.whole for e in h.effects):
             known = Known(context.nuisance_columns(values(context.problem, h, points[0])), points[0].nuisance)
     elif not own_effects and not h.shapes:
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
