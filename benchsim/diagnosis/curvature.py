@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 STEP = 1.0
 """Of the differences, in prior sigmas: what is wanted is the behaviour over a few of them."""
 
-AMPLITUDE = 0.1
-"""The same of amplitudes, about a point."""
+CLOSE, AMPLITUDE = 0.3, 0.1
+"""The same of settings and amplitudes about a point where a fit already is."""
 
 FLAT = 0.05
 """A nuisance that bends the data by less than this many sigma over one prior sigma, alone or as all others are moved by
@@ -130,7 +130,7 @@ def again(
         out = dict(at)
         for i, s in settings.items():
             n = nuisances[about.curved[b][i]]
-            out[n.name] = at.get(n.name, 0.0) + s * STEP * n.sigma
+            out[n.name] = at.get(n.name, 0.0) + s * CLOSE * n.sigma
         for a in parameters:
             if a.name in amplitudes:
                 q = fit_value(a, at[a.name]) + amplitudes[a.name] * unit[a.name]
@@ -151,16 +151,16 @@ def again(
     for b in blocks:
         plain, up, rows = known[(b,)], {i: known[b, (i, 1.0)] for i in each[b]}, problem.rows(b)
         for i in each[b]:
-            second[b][:, i, i] = _finite(up[i] + known[b, (i, -1.0)] - 2 * plain) / STEP**2
+            second[b][:, i, i] = _finite(up[i] + known[b, (i, -1.0)] - 2 * plain) / CLOSE**2
             for j in range(i):
-                both = _finite(known[b, (i, 1.0), (j, 1.0)] - up[i] - up[j] + plain) / STEP**2
+                both = _finite(known[b, (i, 1.0), (j, 1.0)] - up[i] - up[j] + plain) / CLOSE**2
                 second[b][:, i, j] = second[b][:, j, i] = both
         for name, (m, bend) in changes.items():
             more = known[b, (name, 1.0)]
             bend[rows] = _finite(known[b, (name, 2.0)] - 2 * more + plain) / unit[name] ** 2
             for i in each[b]:
                 change = _finite(known[b, (i, 1.0), (name, 1.0)] - more - up[i] + plain)
-                m[rows, about.curved[b][i]] = change / (STEP * unit[name])
+                m[rows, about.curved[b][i]] = change / (CLOSE * unit[name])
     return replace(about, second=tuple(second)), changes, len(tasks)
 
 
@@ -182,7 +182,7 @@ def _with_others(
     out = np.zeros((len(problem.data), len(nuisances)))
     for b in blocks:
         for k in acting[b]:
-            out[problem.rows(b), k] = _finite(moved[b, -1] - moved[b, k] - alone[b, k, signs[k]])
+            out[problem.rows(b), k] = _finite(moved[b, -1] - moved[b, k] - alone[b, k, signs[k]]) / STEP**2
     return out
 
 

@@ -24,6 +24,7 @@ from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, settings
 from benchsim.diagnosis.descent import (
+    STILL,
     TEMPERED,
     State,
     begin,
@@ -56,6 +57,10 @@ ROUNDS, SETTLED = 16, 4
 STALLED = 0.5
 """Part of what the last derivatives promised that the next promise too: then the settings' columns are made anew, and
 how they bend."""
+
+WORTH = 2.0
+"""Gain of a descent on second derivatives made anew from which on they are made anew right after it once more: they
+cost what hundreds of predictions do. One that gains less than `STILL` has converged, whatever is promised."""
 
 SLOW = 0.1
 """Part of a misfit beyond doubt that each of them has to take away: a hypothesis that is wrong by far is not followed
@@ -229,21 +234,25 @@ def fit(
         begun = [held(context, h, prior, begin(context, h, prior, s), known).theta for s in starts[:hold]]
         state = min((begin(context, h, prior, point_of(t, p, k)) for t in begun), key=lambda s: s.cost)
         own, starts = columns_at(state.theta), starts[hold - 1 :]
-    converged, checked, before, stalled, promise = False, 0, np.inf, False, np.inf
+    converged, checked, before, stalled, promise, anew = False, 0, np.inf, False, np.inf, False
     for turn in range(rounds or ROUNDS):
-        last = state.theta
+        last, cost = state.theta, state.cost
         state, own = descend(context, h, prior, state, known, own, columns_at)
+        gained = cost - state.cost
+        still_there = anew and gained < STILL
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
+        anew = stalled and not (anew and gained < WORTH)
         if stalled:
             known = _exact(context, h, state.theta)
-            context = context.bending_at(values(problem, h, point_of(state.theta, p, k)), h.effects)
+            if anew:
+                context = context.bending_at(values(problem, h, point_of(state.theta, p, k)), h.effects)
         else:
             known = _fresh(context, h, state.theta, known, s)
         now = chosen(state.theta, state.residual, known, own)
         # Between two neighbours on the grid that are as probable the choice could swing for ever; any point near the
         # peak will do, since the evidence sums over the grid.
         if now != hyper and turn < SETTLED:
-            hyper = now
+            hyper, still_there = now, False
             prior = prior_of(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
             state = begin(context, h, prior, point_of(state.theta, p, k))
         normal = normal_form(white(known.columns, own), context.whiten(state.residual), prior, state.theta)
@@ -252,7 +261,9 @@ def fit(
             # Where the data bend strongly, derivatives of first order promise what cannot be had.
             promise = min(promise, promised_by(context, h, prior, state, known, own))
         stalled = p > 0 and promise > STALLED * promised
-        converged = promise < still(context, state.residual)
+        # Predictions have kinks of some thousandths of a sigma: where settings are known badly, those promise what
+        # cannot be had, however derivatives are made.
+        converged = still_there or promise < still(context, state.residual)
         if not converged:
             if np.array_equal(state.theta, last) and turn:
                 break

@@ -63,9 +63,10 @@ def test_second_derivatives_about_a_point_are_those_of_calculus():
     found, changes, _ = curvature.again(made, about, at, [AMPLITUDE])
     for b, s in enumerate((0.1, -0.2)):
         rows, k = made.rows(b), list(about.curved[b]).index(2 * b)
-        # Differences over one prior sigma of a cubic: exact in the second derivative, forward in the mixed one.
+        # Differences of a cubic: exact in the second derivative, forward in the mixed one.
         assert np.allclose(found.second[b][:, k, k], (2 / 3 + 6 * 1.5 * (X + s)) * 0.1**2)
-        mixed = ((X + s + 0.1) ** 3 - (X + s) ** 3) / 0.1
+        step = 0.1 * curvature.CLOSE
+        mixed = ((X + s + step) ** 3 - (X + s) ** 3) / step
         assert np.allclose(changes["q"][0][rows, 2 * b], 0.1 * mixed)
     assert np.allclose(changes["q"][1], 0.0, atol=1e-6)
 
