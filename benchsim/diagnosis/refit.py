@@ -24,7 +24,6 @@ from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, settings
 from benchsim.diagnosis.descent import (
-    STILL,
     TEMPERED,
     State,
     begin,
@@ -60,7 +59,7 @@ how they bend."""
 
 WORTH = 2.0
 """Gain of a descent on second derivatives made anew from which on they are made anew right after it once more: they
-cost what hundreds of predictions do. One that gains less than `STILL` has converged, whatever is promised."""
+cost what hundreds of predictions do. One that gains less than `still` has converged, whatever is promised."""
 
 SLOW = 0.1
 """Part of a misfit beyond doubt that each of them has to take away: a hypothesis that is wrong by far is not followed
@@ -239,7 +238,7 @@ def fit(
         last, cost = state.theta, state.cost
         state, own = descend(context, h, prior, state, known, own, columns_at)
         gained = cost - state.cost
-        still_there = anew and gained < STILL
+        still_there = anew and gained < still(context, state.residual)
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
         anew = stalled and not (anew and gained < WORTH)
         if stalled:
@@ -262,11 +261,13 @@ def fit(
             promise = min(promise, promised_by(context, h, prior, state, known, own))
         stalled = p > 0 and promise > STALLED * promised
         # Predictions have kinks of some thousandths of a sigma: where settings are known badly, those promise what
-        # cannot be had, however derivatives are made.
+        # cannot be had, however derivatives are made; nor need derivatives of first order lead downhill at all.
         converged = still_there or promise < still(context, state.residual)
         if not converged:
-            if np.array_equal(state.theta, last) and turn:
+            unmoved = np.array_equal(state.theta, last) and turn > 0
+            if unmoved and not p:
                 break
+            stalled |= unmoved
             missed, before = before, excess(context.whiten(state.residual))
             if before > (1 - SLOW) * missed:
                 break

@@ -133,3 +133,24 @@ def test_it_is_named_and_sized_all_the_same(seed):
     best = found.fits[0]
     assert best.converged and best.effects == ("aberration",)
     assert abs(best.values["q"] - TRUTH["q"]) < 4 * best.sigma["q"]
+
+
+KINK, PERIOD, PHASES = 0.05 * NOISE, 1 / 6, np.random.default_rng(1).uniform(0, 1, len(X))
+"""Size, spacing in prior sigmas of a setting, and where along it every datum has its kinks."""
+
+
+def kinked(values, block):
+    t = values.get(f"t{block}", 0.0)
+    return predict(values, block) + 0.2 * NOISE * t * X**2 + KINK * np.abs((t / PERIOD + PHASES) % 1 - 0.5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_fit_at_its_lowest_point_has_converged_whatever_kinks_promise(seed):
+    """Scenario: a quadrature leaves kinks of some hundredths of a sigma in the prediction, along a setting that the
+    data hardly see. Differences over them promise a gain that no step has. A fit that cannot fall has converged: if it
+    had not, every other hypothesis would have to be tried before anything may be said."""
+    made = problem({**TRUTH, "q": 0.0}, seed)
+    hidden = tuple(Parameter(f"t{b}", "1", 1.0, scaled=True, blocks=(b,)) for b in range(2))
+    made = replace(made, nuisances=made.nuisances + hidden, predict=kinked)
+    null = next(f for f in naming.name(made).fits if not f.effects)
+    assert null.converged
