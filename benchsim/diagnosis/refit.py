@@ -281,7 +281,8 @@ def fit(
                 context, h, prior, other, context.stated() or known, columns_at(other.theta), columns_at
             )
             if other.cost < state.cost - still(context, state.residual):
-                state, own, converged = other, its, False
+                # Derivatives made anew were so where the fit was, not where it goes on.
+                state, own, converged, anew = other, its, False, False
                 continue
         if checked >= len(starts) - 1:
             break
