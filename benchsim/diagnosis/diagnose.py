@@ -19,6 +19,7 @@ from benchsim.diagnosis.location import Explanation
 from benchsim.diagnosis.naming import name
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Class, Diagnosis, Found, Law, Location, Residuals, SplitBy
+from benchsim.diagnosis.shapes import widened
 from benchsim.diagnosis.verdict import Findings
 
 Array = NDArray[np.float64]
@@ -116,7 +117,9 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     missing = findings.claim is not None or findings.something_left
     place = _place(problem, naming, best, findings, modes, on) if missing else None
     said = verdict.verdict(findings, place)
-    found, more_notes = verdict.found(problem, findings, best.fit, best.hypotheses)
+    lone = findings.claim.lone if findings.claim is not None and findings.stands else ()
+    stated = widened(problem, naming.noise.covariance, best.fit, lone)
+    found, more_notes = verdict.found(problem, findings, stated, best.hypotheses)
     return Judged(said, found, place, on, best, findings, prepared, (*notes, *more_notes))
 
 
