@@ -2,10 +2,10 @@
 
 The data then leave several places open, or a bent ridge of them along which a larger effect lies further off, and the
 curvature at the best one says nothing of the others. For every shape the amplitudes and all nuisances are integrated as
-in `linear`; what is left is a density of the few shape parameters, which a population of points follows from the range
-of their grids to the posterior: sequential Monte Carlo (Del Moral et al., doi:10.1111/j.1467-9868.2006.00553.x) with
-moves by differences of two other points (ter Braak, doi:10.1007/s11222-006-8769-1), which find their own scale and
-directions and step between peaks.
+in `linear`; what is left is a density of the few shape parameters. Its peaks are narrow, but by how many sigma the
+amplitudes stand out changes no faster than the effect does with its shape: splines carry that from some nodes to a mesh
+that resolves the peaks. Points chosen by it are looked at exactly and weighed (importance sampling, self-normalised);
+where that shows the splines to be wrong, they are corrected and points are chosen anew.
 
 Not for effects that stand out by many sigma: what an amplitude adds is taken as linear, and `refit` knows better.
 """
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.interpolate import RBFInterpolator, make_interp_spline
 from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, linear
@@ -30,36 +30,18 @@ Array = NDArray[np.float64]
 FAINT = 8.0
 """Amplitude over its sigma from which on the best place's own curvature is believed."""
 
-POINTS, MOVES, STAGES = 128, 3, 12
-"""Points of the population, moves of all of them at each stage, and stages at most."""
+FINER, FEWEST = 3, 5
+"""Nodes for every step of a shape's grid, and nodes at least."""
 
-ALIVE = 0.5
-"""Part of the points that are to count after the likelihood is let in further."""
+MESH = 8
+"""Points of the mesh for every step of the nodes."""
 
-JUMPS = 0.1
-"""Part of the moves that go by a whole difference, from peak to peak."""
+DRAWS, HEAT = 256, 2.0
+"""Points that are looked at exactly, and the power of the mesh's density by whose root they are chosen: wide enough
+that what splines miss between the nodes is still among them."""
 
-
-@dataclass(frozen=True)
-class _Cloud:
-    """Points (m, d) in units of their ranges, their ln likelihood, the amplitudes' mean and variance (m, k) there."""
-
-    at: Array
-    log_likelihood: Array
-    mean: Array
-    variance: Array
-
-    def where(self, chosen: NDArray[np.bool_], other: _Cloud) -> _Cloud:
-        wide = chosen[:, None]
-        return _Cloud(
-            np.where(wide, other.at, self.at),
-            np.where(chosen, other.log_likelihood, self.log_likelihood),
-            np.where(wide, other.mean, self.mean),
-            np.where(wide, other.variance, self.variance),
-        )
-
-    def take(self, index: NDArray[np.intp]) -> _Cloud:
-        return _Cloud(self.at[index], self.log_likelihood[index], self.mean[index], self.variance[index])
+ROUNDS, ENOUGH = 5, 40
+"""Choices of such points, each with what the last ones taught the mesh, until so many count."""
 
 
 def widened(problem: Problem, covariance: tuple[Array, ...], fit: Fit, effects: Collection[str]) -> Fit:
@@ -115,14 +97,26 @@ def spread(problem: Problem, covariance: tuple[Array, ...], fit: Fit, effect: Ef
     low = np.array([min(p.grid) for p in shapes])
     high = np.array([max(p.grid) for p in shapes])
     middle = np.array([fit.values[p.name] for p in shapes])
-    weigh = _Weigh.of(problem, covariance, fit, effect)
-    # A fixed seed: the same data give the same diagnosis.
-    cloud = _followed(weigh, (middle - low) / (high - low), np.random.default_rng(0))
-    place = low + (high - low) * cloud.at - middle
+    at, density, share = _points(_Weigh.of(problem, covariance, fit, effect), low, high)
     size = np.array([fit.values[p.name] for p in own])
-    second = [*((cloud.mean - size) ** 2 + cloud.variance).mean(axis=0), *(place**2).mean(axis=0)]
-    # A population may lose breadth, but the curvature at the best place is a lower bound that is known.
+    second = np.concatenate([share @ ((density.mean - size) ** 2 + density.variance), share @ (at - middle) ** 2])
+    # The range ends where a catalogue's shapes do; how sure the fit is within it is known from the curvature at least.
     return {p.name: max(fit.sigma[p.name], float(np.sqrt(v))) for p, v in zip((*own, *shapes), second, strict=True)}
+
+
+@dataclass(frozen=True)
+class _Density:
+    """Of points of the shapes: by how many sigma the amplitudes stand out (m, k), what their freedom costs in ln (m,),
+    and their mean and variance (m, k)."""
+
+    stands: Array
+    occam: Array
+    mean: Array
+    variance: Array
+
+    @property
+    def log(self) -> Array:
+        return np.asarray(0.5 * (self.stands**2).sum(axis=1) + self.occam)
 
 
 @dataclass(frozen=True)
@@ -172,31 +166,22 @@ class _Weigh:
             problem, covariance, absorb(problem, ground), fit.setting_scale, without, level, step, own, shapes
         )
 
-    def __call__(self, at: Array) -> _Cloud:
-        """Of points (m, d) within [0, 1]; a point outside is impossible and costs nothing."""
-        k, count = len(self.own), len(at)
-        out = _Cloud(at, np.full(count, -np.inf), np.zeros((count, k)), np.zeros((count, k)))
-        inside = np.flatnonzero(((at >= 0) & (at <= 1)).all(axis=1))
-        if not len(inside):
-            return out
-        places = [
-            {p.name: min(p.grid) + u * (max(p.grid) - min(p.grid)) for p, u in zip(self.shapes, row, strict=True)}
-            for row in at[inside].tolist()
-        ]
-        white = linear.whiten(self.problem, self.covariance, self._columns(places))[0]
+    def __call__(self, at: Array) -> _Density:
+        """At points (m, d) of the shapes."""
+        k = len(self.own)
+        white = linear.whiten(self.problem, self.covariance, self._columns(at))[0]
+        of = np.arange(len(at))[:, None] * k + np.arange(k)
         m = linear.marginal(self.ground, white, self.scale)
         unit = np.array([p.sigma for p in self.own])
-        for j, i in enumerate(inside):
-            mine = slice(j * k, (j + 1) * k)
-            inner = m.gram[mine, mine] * unit[:, None] * unit + np.eye(k)
-            inverse = np.linalg.inv(inner)
-            pull = m.projection[mine] * unit
-            out.log_likelihood[i] = 0.5 * pull @ inverse @ pull - 0.5 * np.linalg.slogdet(inner)[1]
-            out.mean[i], out.variance[i] = unit * (inverse @ pull), unit**2 * np.diag(inverse)
-        return out
+        inner = m.gram[of[:, :, None], of[:, None, :]] * unit[:, None] * unit + np.eye(k)
+        root = np.linalg.inv(np.linalg.cholesky(inner))
+        stands = np.einsum("mij,mj->mi", root, m.projection[of] * unit)
+        occam = np.log(root[:, range(k), range(k)]).sum(axis=1)
+        return _Density(stands, occam, unit * np.einsum("mji,mj->mi", root, stands), unit**2 * (root**2).sum(axis=1))
 
-    def _columns(self, places: Sequence[Mapping[str, float]]) -> Array:
-        """What each amplitude adds per unit at each place, (n, places × k): half the cost of central differences."""
+    def _columns(self, at: Array) -> Array:
+        """What each amplitude adds per unit at each point, (n, m k): half the cost of central differences."""
+        places = [dict(zip((p.name for p in self.shapes), row, strict=True)) for row in at.tolist()]
         blocks = range(len(self.problem.names))
         points = [{**self.without, **place, p.name: self.step[p.name]} for place in places for p in self.own]
         found = linear.predictions(
@@ -208,55 +193,35 @@ class _Weigh:
         return np.where(np.isfinite(added), added, 0.0).T
 
 
-def _followed(weigh: _Weigh, best: Array, rng: np.random.Generator) -> _Cloud:
-    """From points that are even in the range to points of the posterior, the likelihood let in step by step."""
-    start = rng.uniform(size=(POINTS, len(best)))
-    start[0] = best
-    cloud, power = weigh(start), 0.0
-    for _ in range(STAGES):
-        power, share = _further(cloud.log_likelihood, power)
-        cloud = cloud.take(_resampled(share, rng))
-        for _ in range(MOVES):
-            cloud = _moved(weigh, cloud, power, rng)
-        if power >= 1:
+def _points(weigh: _Weigh, low: Array, high: Array) -> tuple[Array, _Density, Array]:
+    """Points (m, d), the density at each, and each one's share of the posterior."""
+    counts = [max(FEWEST, FINER * (len(p.grid) - 1) + 1) for p in weigh.shapes]
+    nodes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
+    seen = weigh(_mesh(nodes))
+    fine = [np.linspace(a[0], a[-1], MESH * (len(a) - 1) + 1) for a in nodes]
+    values = np.column_stack([seen.stands, seen.occam]).reshape(*counts, -1)
+    for i, (a, b) in enumerate(zip(nodes, fine, strict=True)):
+        values = make_interp_spline(a, values, k=min(5, (len(a) - 2) // 2 * 2 + 1), axis=i)(b)
+    flat = values.reshape(-1, values.shape[-1])
+    spline = 0.5 * (flat[:, :-1] ** 2).sum(axis=1) + flat[:, -1]
+    places, unit = _mesh(fine), np.array([a[1] - a[0] for a in nodes])
+    guess, exact = spline, dict[int, float]()
+    for _ in range(ROUNDS):
+        log = guess / HEAT - logsumexp(guess / HEAT)
+        # Systematic: as many of every part of the mesh as its share, but for a fraction; no random numbers are needed.
+        drawn = np.searchsorted(np.cumsum(np.exp(log)), (np.arange(DRAWS) + 0.5) / DRAWS)
+        drawn = np.minimum(drawn, len(log) - 1)
+        found = weigh(places[drawn])
+        share = np.exp(found.log - log[drawn] - logsumexp(found.log - log[drawn]))
+        if share @ share < 1 / ENOUGH:
             break
-    return cloud
+        # Where light is lost splines ring: there they are set right by what was seen nearby.
+        exact |= dict(zip(drawn.tolist(), found.log.tolist(), strict=True))
+        known = np.array(list(exact))
+        wrong = np.array(list(exact.values())) - spline[known]
+        guess = spline + RBFInterpolator(places[known] / unit, wrong, neighbors=8, kernel="linear")(places / unit)
+    return places[drawn], found, share
 
 
-def _further(log_likelihood: Array, power: float) -> tuple[float, Array]:
-    """The power up to which the likelihood may be let in so that enough points count, and their shares."""
-
-    def shares(to: float) -> Array:
-        w = (to - power) * log_likelihood
-        return np.asarray(np.exp(w - logsumexp(w)))
-
-    def too_few(to: float) -> float:
-        return ALIVE * len(log_likelihood) - 1 / float((shares(to) ** 2).sum())
-
-    to = 1.0 if too_few(1.0) <= 0 else float(brentq(too_few, power, 1.0, xtol=1e-6))
-    return to, shares(to)
-
-
-def _resampled(share: Array, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Systematic: every point as often as its share says, but for a fraction."""
-    steps = (rng.uniform() + np.arange(len(share))) / len(share)
-    return np.minimum(np.searchsorted(np.cumsum(share), steps), len(share) - 1)
-
-
-def _moved(weigh: _Weigh, cloud: _Cloud, power: float, rng: np.random.Generator) -> _Cloud:
-    """One Metropolis move of each half by differences of two points of the other, which keeps the density exact."""
-    count, d = cloud.at.shape
-    order = rng.permutation(count)
-    for half in (slice(0, count // 2), slice(count // 2, count)):
-        mine = np.zeros(count, bool)
-        mine[order[half]] = True
-        others = np.flatnonzero(~mine)
-        first, second = rng.choice(others, (2, count))
-        stride = np.where(rng.uniform(size=count) < JUMPS, 1.0, 2.38 / np.sqrt(2 * d))
-        moved = cloud.at + stride[:, None] * (cloud.at[first] - cloud.at[second])
-        moved += 1e-4 * rng.standard_normal((count, d))
-        moved[~mine] = np.nan
-        tried = weigh(moved)
-        gain = power * (tried.log_likelihood - cloud.log_likelihood)
-        cloud = cloud.where(mine & (np.log(rng.uniform(size=count)) < gain), tried)
-    return cloud
+def _mesh(axes: Sequence[Array]) -> Array:
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))

@@ -80,7 +80,7 @@ def test_where_there_is_one_peak_both_agree():
     fit, covariance = fitted(problem)
     sigma = spread(problem, covariance, fit, BUMP)
     for name in ("bump", "at"):
-        # A population of 128 points: 10 % of a sigma, and the curvature's is never undercut.
+        # The posterior mean differs a little from the peak, and the curvature's sigma is never undercut.
         assert sigma[name] == pytest.approx(fit.sigma[name], rel=0.35) and sigma[name] >= fit.sigma[name]
 
 
