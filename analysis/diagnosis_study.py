@@ -16,7 +16,7 @@ import os
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -30,19 +30,32 @@ import study_cases as draw
 import study_score as score
 
 from benchsim import diagnosis
-from benchsim.bench.model import Recording
+from benchsim.bench.model import Recording, Uncertainty
 from benchsim.diagnosis import curvature
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
-from benchsim.instruments.bench import observables
+from benchsim.instruments.bench import amend, observables
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.trial.cluster import MEMORY_KEPT
 from benchsim.trial.hashing import code
 
 ROWS = (
-    "single", "pair", "fig7", "clean", "clean-noise", "clean-settings", "clean-correlated", "removed", "stranger",
+    "single", "pair", "fig7", "fig7-pair", "clean", "clean-noise", "clean-settings", "clean-correlated", "removed",
+    "stranger",
 )  # fmt: skip
+
+TRACES_ONLY = {
+    "clean-noise": "a recording of photographs states no noise that could be understated, theirs is read from the "
+    "pictures alone; this row is of the traces' tier",
+}
+"""Rows that photographs do not have, and why."""
+
+SPECKLES = (0.0, 0.8)
+"""Of photographs [px]: one or the other; always the second where the row is of correlated noise."""
+
+Part = dict[str, Any]
+"""Of a case's line, as it comes to be known."""
 
 
 def rng_of(seed: int, tier: str, row: str, case: int) -> np.random.Generator:
@@ -67,47 +80,6 @@ def stage(tier: str, kind: str, seed: int, case: int, shrink: int) -> Stage:
     observed = observables.simulate(recording)
     nominal = bench_problem.build(recording, observed)
     return Stage(recording, tuple(observed), draw.Sight.of(nominal), curvature.measure(nominal))
-
-
-def conceal(row: str, on: Stage, rng: np.random.Generator) -> tuple[draw.Truth, dict[str, float]]:
-    """Draw what one case conceals; also the parameters of the catalogue's effects, by parameter name."""
-    recording, sight = on.recording, on.sight
-    nominal = sight.problem
-    values: dict[str, float] = {}
-    effects: dict[str, dict[str, float]] = {}
-    count = {"single": 1, "fig7": 1, "removed": 1, "pair": 2}.get(row, 0)
-    for i in rng.choice(len(nominal.catalogue), count, replace=False):
-        effect = nominal.catalogue[int(i)]
-        drawn = draw.draw_effect(sight, effect, rng)
-        values |= drawn
-        effects |= draw.as_effects(drawn, effect)
-    stranger = draw.STRANGERS[int(rng.integers(len(draw.STRANGERS)))] if row == "stranger" else ""
-    fields = draw.draw_stranger(stranger, recording, rng) if stranger else {}
-    truth = draw.Truth(
-        effects,
-        fields,
-        stranger,
-        setting_scale=3.0 if row == "clean-settings" else 1.0,
-        noise_scale=1.3 if row == "clean-noise" else 1.0,
-        correlated=0.7 if row == "clean-correlated" else 0.0,
-    )
-    return truth, values
-
-
-def visible(
-    truth: draw.Truth, sight: draw.Sight, values: Mapping[str, float], bent: np.ndarray | None
-) -> dict[str, Any]:
-    """SNR of each concealed thing, the nearest rival of them all, and how far they are from any one of them."""
-    snr: dict[str, float] = {}
-    for name, own in truth.effects.items():
-        snr[name] = float(np.linalg.norm(sight.change(own)))
-    if bent is not None:
-        snr[truth.stranger] = float(np.linalg.norm(bent))
-    rival, alone = ("", float("inf")), float("inf")
-    if truth.effects:
-        delta = sight.change(values)
-        rival, alone = sight.rival(delta, tuple(truth.effects)), draw.alone(sight, delta, values, truth.effects)
-    return {"snr": snr, "rival": rival, "alone": alone}
 
 
 def verdict_of(d: Diagnosis) -> dict[str, Any]:
@@ -142,103 +114,118 @@ def pulls_of(d: Diagnosis, truth: draw.Truth) -> list[float]:
     return out
 
 
-def traces_case(row: str, seed: int, case: int, fresh: int) -> dict[str, Any]:
-    """One case of the traces' tier; of every so many cases a fresh recording is diagnosed against what was named."""
-    rng = rng_of(seed, "traces", row, case)
-    on = stage("traces", "fig7" if row == "fig7" else "six", seed, case, 1)
-    recording, observed, sight = on.recording, on.observed, on.sight
-    truth, values = conceal(row, on, rng)
-    nominal = sight.problem
-    bent = None
-    if truth.fields:
-        true = bench_problem.build(replace(recording, fields=truth.fields), observed)
-        offset = nominal.data - true.data
-        bent = draw.whiten(nominal, nominal.covariance, predict_all(true, {}) + offset - predict_all(nominal, {}))[0]
-        bent = sight.through(bent)
-    else:
-        true, offset = nominal, np.zeros(len(nominal.data))
-    at = {**draw.nuisances(nominal, truth, rng), **values}
-    data = draw.noisy(nominal, predict_all(true, at) + offset, truth, rng)
-    judged = replace(nominal, data=data)
-    if row == "removed":
-        judged = replace(judged, catalogue=tuple(e for e in judged.catalogue if e.name not in truth.effects))
+def limits_stated(d: Diagnosis, truth: draw.Truth) -> dict[str, bool]:
+    """Of each effect that is concealed, whether the size is stated from which on it would have been seen."""
+    return {name: name in d.limits and bool(np.isfinite(d.limits[name].five_sigma)) for name in truth.effects}
+
+
+def without(problem: Problem, row: str, truth: draw.Truth) -> Problem:
+    """The problem as the judge of a row has it: of what was removed its catalogue knows nothing."""
+    if row != "removed":
+        return problem
+    return replace(problem, catalogue=tuple(e for e in problem.catalogue if e.name not in truth.effects))
+
+
+def design(row: str) -> str:
+    """Settings of a row: the two of Fig. 7, or six."""
+    return "fig7" if row.startswith("fig7") else "six"
+
+
+def diagnosed(problem: Problem, truth: draw.Truth, bends: curvature.Curvature | None) -> tuple[Diagnosis, Part]:
+    """The verdict, and what of it the case's line holds."""
     start = time.process_time()
-    d = diagnosis.diagnose(judged, bends=on.bends)
-    out = {
-        "tier": "traces", "row": row, "seed": seed, "case": case, "truth": draw.plain(truth),
-        "truth_element": element_of(nominal, truth), **visible(truth, sight, values, bent), **verdict_of(d),
-        "parameter_pulls": pulls_of(d, truth), "cpu_s": time.process_time() - start,
-    }  # fmt: skip
-    if fresh and case % fresh == 0 and d.verdict == "named":
-        found = {f.name: {k: s.value for k, s in f.parameters.items()} for f in d.effects}
-        again = bench_problem.build(replace(recording, effects=found), observed)
-        moved = again.data - nominal.data
-        other = {**draw.nuisances(nominal, truth, rng), **values}
-        data = draw.noisy(nominal, predict_all(nominal, other) + moved, truth, rng)
-        out["fresh"] = diagnosis.diagnose(replace(again, data=data)).verdict
-    return out
+    d = diagnosis.diagnose(problem, bends=bends)
+    spent = time.process_time() - start
+    line = {"parameter_pulls": pulls_of(d, truth), "limit_stated": limits_stated(d, truth), "cpu_s": spent}
+    return d, {**verdict_of(d), **line}
 
 
-def element_of(problem: Problem, truth: draw.Truth) -> str:
-    """Where in the light's path the truth sits."""
-    if truth.stranger:
-        return draw.STRANGER_ELEMENT[truth.stranger]
-    return next((e.element for e in problem.catalogue if e.name in truth.effects), "")
+def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
+    """One case of the traces' tier; of every so many cases a fresh recording is diagnosed against what was put in."""
+    rng = rng_of(seed, "traces", row, case)
+    on = stage("traces", design(row), seed, case, 1)
+    recording, nominal = on.recording, on.sight.problem
+    truth, values = draw.conceal(row, recording, on.sight, rng)
+    bent = replace(recording, fields=truth.fields)
+    true = bench_problem.build(bent, on.observed, attached=False) if truth.fields else None
+    yield {
+        "truth": draw.plain(truth),
+        "truth_element": draw.element_of(nominal, truth),
+        **draw.visible(truth, on.sight, values, true),
+    }
+    lit = true or nominal
+    at = {**draw.nuisances(nominal, truth, rng), **values}
+    data = draw.noisy(nominal, predict_all(lit, at) - lit.data + nominal.data, truth, rng)
+    d, line = diagnosed(without(replace(nominal, data=data), row, truth), truth, on.bends)
+    yield line
+    if fresh and case % fresh == 0:
+        amended = amend.amended(recording, d)
+        if amend.put_in(recording, amended):
+            # The same bench set up once more: errors of the settings and noise are new, its beam and lenses are not.
+            new = draw.nuisances(nominal, truth, rng)
+            again = at | {p.name: new[p.name] for p in nominal.nuisances if p.scaled}
+            doubted = bench_problem.build(amended, on.observed)
+            data = draw.noisy(nominal, predict_all(lit, again) - lit.data + doubted.data, truth, rng)
+            yield {"fresh": diagnosis.diagnose(without(replace(doubted, data=data), row, truth)).verdict}
 
 
-def photographs_case(row: str, seed: int, case: int, shrink: int) -> dict[str, Any]:
-    """One case of the photographs' tier."""
+def photographs_case(row: str, seed: int, case: int, shrink: int) -> Iterator[Part]:
+    """One case of the photographs' tier; how visible the truth is there is read from the pictures that are judged."""
     from benchsim.render.recording import render_recording
 
     rng = rng_of(seed, "photographs", row, case)
-    on = stage("photographs", "fig7" if row == "fig7" else "six", seed, case, shrink)
-    recording, sight = on.recording, on.sight
-    truth, values = conceal(row, on, rng)
-    bent = None
-    if truth.fields:
-        true = bench_problem.build(replace(recording, fields=truth.fields), on.observed)
-        difference = predict_all(true, {}) - true.data + sight.problem.data - predict_all(sight.problem, {})
-        bent = sight.through(draw.whiten(sight.problem, sight.problem.covariance, difference)[0])
-    u = recording.uncertainty
-    factor = truth.setting_scale
+    on = stage("photographs", design(row), seed, case, shrink)
+    recording = on.recording
+    truth, values = draw.conceal(row, recording, on.sight, rng)
+    # Drawn for every row, so that all take the same numbers.
+    speckle = float(rng.choice(SPECKLES))
+    speckle = SPECKLES[1] if row == "clean-correlated" else speckle
+    yield {
+        "truth": {**draw.plain(truth), "speckle_px": speckle},
+        "truth_element": draw.element_of(on.sight.problem, truth),
+    }
     stated = replace(
         recording,
         effects=truth.effects,
         fields=truth.fields,
-        render=replace(recording.render, speckle_px=float(rng.choice([0.0, 0.8])), relative_error=0.02),
-        uncertainty=replace(
-            u,
-            mirror_position=u.mirror_position * factor,
-            mirror_axis=u.mirror_axis * factor,
-            laser_direction=u.laser_direction * factor,
-            screen_position=u.screen_position * factor,
-            screen_angle=u.screen_angle * factor,
-        ),
+        render=replace(recording.render, speckle_px=speckle, relative_error=0.02),
+        uncertainty=scaled(recording.uncertainty, truth.setting_scale),
     )
     with tempfile.TemporaryDirectory() as folder:
         made = render_recording(stated, folder, seed=int(rng.integers(2**32)), conceal=True)
-        taken = replace(made.recording, uncertainty=u)
+        taken = replace(made.recording, uncertainty=recording.uncertainty)
         observed, _lost = observables.observe(taken)
-        judged = bench_problem.build(taken, observed)
-        if row == "removed":
-            judged = replace(judged, catalogue=tuple(e for e in judged.catalogue if e.name not in truth.effects))
-        start = time.process_time()
-        d = diagnosis.diagnose(judged)
-    return {
-        "tier": "photographs", "row": row, "seed": seed, "case": case, "truth": draw.plain(truth),
-        "truth_element": element_of(sight.problem, truth), **visible(truth, sight, values, bent), **verdict_of(d),
-        "parameter_pulls": pulls_of(d, truth), "cpu_s": time.process_time() - start,
-    }  # fmt: skip
+        seen = bench_problem.build(taken, observed)
+        bent = replace(taken, fields=truth.fields)
+        true = bench_problem.build(bent, observed, attached=False) if truth.fields else None
+        # Where nothing is concealed there is nothing to see, and the pictures' own need not be computed.
+        sight = draw.Sight.of(seen) if truth.effects or truth.fields else on.sight
+        yield draw.visible(truth, sight, values, true)
+        yield diagnosed(without(seen, row, truth), truth, None)[1]
+
+
+def scaled(u: Uncertainty, factor: float) -> Uncertainty:
+    """Errors of the settings so many times as large."""
+    return replace(
+        u,
+        mirror_position=u.mirror_position * factor,
+        mirror_axis=u.mirror_axis * factor,
+        laser_direction=u.laser_direction * factor,
+        screen_position=u.screen_position * factor,
+        screen_angle=u.screen_angle * factor,
+    )
 
 
 def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int) -> dict[str, Any]:
-    """A case and the code that judged it, or the complaint that ended it."""
+    """A case and the code that judged it; where a complaint ended it, that and what was known by then."""
+    line: dict[str, Any] = {"tier": tier, "row": row, "seed": seed, "case": case, "code": code()[:12]}
+    parts = traces_case(row, seed, case, fresh) if tier == "traces" else photographs_case(row, seed, case, shrink)
     try:
-        found = traces_case(row, seed, case, fresh) if tier == "traces" else photographs_case(row, seed, case, shrink)
-        return {**found, "code": code()[:12]}
+        for part in parts:
+            line |= part
     except Exception as error:  # a study goes on; the line says what happened and counts as no verdict
-        said = f"{type(error).__name__}: {error}"
-        return {"tier": tier, "row": row, "seed": seed, "case": case, "error": said, "code": code()[:12]}
+        line["error" if "verdict" not in line else "fresh_error"] = f"{type(error).__name__}: {error}"
+    return line
 
 
 def run(
@@ -286,7 +273,7 @@ def main() -> None:
     sub = parser.add_subparsers(dest="command", required=True)
     go = sub.add_parser("run", help="run cases that are not there yet")
     go.add_argument("tier", choices=["traces", "photographs"])
-    go.add_argument("--rows", default=",".join(ROWS))
+    go.add_argument("--rows", help=f"default all that the tier has of {','.join(ROWS)}")
     go.add_argument("--cases", type=int, default=300, help="per row")
     go.add_argument("--seed", type=int, required=True)
     go.add_argument("--out", type=Path, default=Path("out/study"))
@@ -294,13 +281,17 @@ def main() -> None:
     go.add_argument("--shrink", type=int, default=2, help="of the cameras' resolution, photographs only")
     go.add_argument(
         "--fresh", type=int, default=0, metavar="N",
-        help="of every Nth case diagnose a fresh recording against what was named (traces)",
+        help="of every Nth case diagnose a fresh recording against what was found and put into the file (traces)",
     )  # fmt: skip
     show = sub.add_parser("table", help="print rates, confusion and reliability")
     show.add_argument("files", type=Path, nargs="+")
     args = parser.parse_args()
     if args.command == "run":
-        rows = args.rows.split(",")
+        known = [row for row in ROWS if args.tier == "traces" or row not in TRACES_ONLY]
+        rows = args.rows.split(",") if args.rows else known
+        for row in rows:
+            if row not in known:
+                parser.error(f"{row}: {TRACES_ONLY.get(row, 'is no row; take of ' + ', '.join(known))}")
         call = partial(one, tier=args.tier, shrink=args.shrink, fresh=args.fresh)
         run(call, rows, args.cases, args.seed, args.out / f"{args.tier}-{args.seed}.jsonl", args.workers)
         return
@@ -308,13 +299,23 @@ def main() -> None:
 
 
 def tell(cases: list[dict[str, Any]], *more: str) -> None:
-    """Print the tables of cases, with more between rates and confusion."""
-    print(score.table(cases), *more, score.confusion(cases), score.reliability(cases), sep="\n\n")
-    bad = [c for c in cases if "error" in c]
+    """Print the tables of cases, each tier for itself, and more behind them."""
+    tiers = list(dict.fromkeys(c["tier"] for c in cases if "tier" in c))
+    # Lines that a complaint ended early may lack it.
+    only = tiers[0] if len(tiers) == 1 else "unknown tier"
+    by: dict[str, list[dict[str, Any]]] = {}
+    for c in cases:
+        by.setdefault(c.get("tier", only), []).append(c)
+    for tier, own in by.items():
+        print(f"== {tier}: {len(own)} cases ==\n")
+        print(score.table(own), score.confusion(own), score.reliability(own), sep="\n\n", end="\n\n")
+    for text in more:
+        print(text, end="\n\n")
+    bad = [c for c in cases if "error" in c or "fresh_error" in c]
     codes = sorted({c.get("code", "unknown") for c in cases})
-    print(f"\n{len(cases)} cases, {len(bad)} without a verdict; judged by code {', '.join(codes)}")
+    print(f"{len(cases)} cases, {sum('error' in c for c in bad)} without a verdict; judged by code {', '.join(codes)}")
     for c in bad[:10]:
-        print(f"  {c['row']} {c['case']}: {c['error']}")
+        print(f"  {c['row']} {c['case']}: {c.get('error') or 'fresh recording: ' + c['fresh_error']}")
 
 
 if __name__ == "__main__":

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field
-from benchsim.diagnosis.linear import whiten
-from benchsim.diagnosis.problem import Problem
+from benchsim.bench.model import Recording
+from benchsim.diagnosis.linear import predict_all, whiten
+from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.trial.draws import (
-    SNR,
     STRANGER_ELEMENT,
     STRANGERS,
     Sight,
@@ -29,10 +30,7 @@ from benchsim.trial.draws import (
     draw_stranger,
 )
 
-__all__ = [
-    "SNR", "STRANGERS", "STRANGER_ELEMENT", "Sight", "Truth", "alone", "as_effects", "bench", "draw_effect",
-    "draw_stranger", "noisy", "nuisances", "plain", "whiten",
-]  # fmt: skip
+__all__ = ["Sight", "Truth", "alone", "bench", "conceal", "element_of", "noisy", "nuisances", "plain", "visible"]
 
 Array = NDArray[np.float64]
 
@@ -50,9 +48,9 @@ class Truth:
     stranger : str
         Its name among `STRANGERS`, or "".
     setting_scale, noise_scale : float
-        Truth over what is stated.
+        Truth over what is stated; the noise's for traces only, photographs state none.
     correlated : float
-        Sigma of a correlated error along each trace over that of a datum.
+        Sigma of a correlated error along each trace over that of a datum, for traces; photographs have speckle.
     """
 
     effects: Mapping[str, Mapping[str, float]]
@@ -61,6 +59,86 @@ class Truth:
     setting_scale: float = 1.0
     noise_scale: float = 1.0
     correlated: float = 0.0
+
+
+COUNT = {"single": 1, "fig7": 1, "removed": 1, "pair": 2, "fig7-pair": 2}
+"""Effects of the catalogue that a case of each row conceals; the other rows conceal none."""
+
+
+def conceal(row: str, recording: Recording, sight: Sight, rng: np.random.Generator) -> tuple[Truth, dict[str, float]]:
+    """Draw what one case conceals; also the parameters of the catalogue's effects, by parameter name."""
+    catalogue = sight.problem.catalogue
+    values: dict[str, float] = {}
+    effects: dict[str, dict[str, float]] = {}
+    for i in rng.choice(len(catalogue), COUNT.get(row, 0), replace=False):
+        effect = catalogue[int(i)]
+        drawn = draw_effect(sight, effect, rng)
+        values |= drawn
+        effects |= as_effects(drawn, effect)
+    stranger = STRANGERS[int(rng.integers(len(STRANGERS)))] if row == "stranger" else ""
+    fields = draw_stranger(stranger, recording, rng) if stranger else {}
+    truth = Truth(
+        effects,
+        fields,
+        stranger,
+        setting_scale=3.0 if row == "clean-settings" else 1.0,
+        noise_scale=1.3 if row == "clean-noise" else 1.0,
+        correlated=0.7 if row == "clean-correlated" else 0.0,
+    )
+    return truth, values
+
+
+def visible(truth: Truth, sight: Sight, values: Mapping[str, float], true: Problem | None = None) -> dict[str, Any]:
+    """How visible what is concealed is in the noise of the data that are judged.
+
+    Parameters
+    ----------
+    truth : Truth
+    sight : Sight
+        On the problem of those data, the effects that the judge's catalogue lacks included.
+    values : mapping
+        Parameters of the concealed effects by name.
+    true : Problem, optional
+        Of the same data, with the fields of a stranger; where there is one.
+
+    Returns
+    -------
+    dict
+        ``snr`` of each concealed thing; ``reach``, that of each effect at its cap; ``rival``, the nearest other single
+        or pair of them all and its distance; ``alone``, how far they are from any one of them.
+    """
+    catalogue = {e.name: e for e in sight.problem.catalogue}
+    snr = {name: float(np.linalg.norm(sight.change(own))) for name, own in truth.effects.items()}
+    if true is not None:
+        nominal = sight.problem
+        bent = predict_all(true, {}) - true.data + nominal.data - predict_all(nominal, {})
+        snr[truth.stranger] = float(np.linalg.norm(sight.through(whiten(nominal, nominal.covariance, bent)[0])))
+    rival, single = ("", float("inf")), float("inf")
+    if truth.effects:
+        delta = sight.change(values)
+        rival, single = sight.rival(delta, tuple(truth.effects)), alone(sight, delta, values, truth.effects)
+    at_cap = {name: reach(sight, catalogue[name], own) for name, own in truth.effects.items()}
+    return {"snr": snr, "reach": at_cap, "rival": rival, "alone": single}
+
+
+def reach(sight: Sight, effect: Effect, own: Mapping[str, float]) -> float:
+    """SNR of an effect at its cap: its amplitudes in the ratio that the case has, until the first is there."""
+    many = amplitudes(effect)
+    share = max(abs(own[p.name]) / (2 * p.sigma) for p in many)
+    if share == 0:
+        return 0.0
+    try:
+        size = float(np.linalg.norm(sight.change({**own, **{p.name: own[p.name] / share for p in many}})))
+    except BenchsimError:  # light that misses the board is seen to do so
+        return float("inf")
+    return size if np.isfinite(size) else float("inf")
+
+
+def element_of(problem: Problem, truth: Truth) -> str:
+    """Where in the light's path the truth sits."""
+    if truth.stranger:
+        return STRANGER_ELEMENT[truth.stranger]
+    return next((e.element for e in problem.catalogue if e.name in truth.effects), "")
 
 
 def noisy(problem: Problem, prediction: Array, truth: Truth, rng: np.random.Generator) -> Array:

@@ -1,36 +1,50 @@
-"""Rates of `diagnosis_study.py` with their binomial intervals, held against the bars."""
+"""Rates of `diagnosis_study.py` with their intervals, held against the bars."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
+from benchsim.trial import claims
+from benchsim.trial.prediction import much
 from benchsim.trial.rates import judged, wilson
 
-Case = dict[str, Any]
+Case = Mapping[str, Any]
 
+CATALOGUED = ("single", "pair", "fig7", "fig7-pair")
+OUTSIDE = ("removed", "stranger")
+"""Rows of cases with something concealed: in the judge's catalogue, and not there."""
 
-def claims(case: Case) -> list[set[str]]:
-    """Every set of effects that a diagnosis allows: its effects plus one member of each class."""
-    out = [set(case["named"])]
-    for members in case["classes"]:
-        out = [c | set(m) for c in out for m in members]
-    return out
+SEEN = 8.0
+"""SNR from which an effect has to be named."""
+
+STD = (0.9, 1.15)
+FAR = 0.015
+"""Bars of the parameters' (estimate − truth)/σ: standard deviation about zero, and share beyond 3."""
+
+EDGES = (0, 0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999, 1.0000001)
+
+WIDTH = 100
+"""Of the quantities' names."""
 
 
 def exact(case: Case) -> bool:
     """Named, nothing else, and nothing left."""
-    return case["verdict"] == "named" and set(case["named"]) == set(case["truth"]["effects"])
+    named = set(case["named"])
+    return case["verdict"] == "named" and bool(named) and named == set(case["truth"]["effects"])
 
 
-def holds(case: Case) -> bool:
-    """Named exactly, or a class that holds the truth."""
-    return set(case["truth"]["effects"]) in claims(case)
+def holds(case: Case, verdicts: Sequence[str] = ("class",)) -> bool:
+    """A verdict of these whose effects and classes allow just what is concealed."""
+    return case["verdict"] in verdicts and set(case["truth"]["effects"]) in claims.allowed(
+        case["named"], case["classes"]
+    )
 
 
 def lone_wrong(case: Case) -> bool:
@@ -38,171 +52,306 @@ def lone_wrong(case: Case) -> bool:
     return bool(set(case["named"]) - set(case["truth"]["effects"]))
 
 
-def row(title: str, cases: Sequence[Case], hit: Callable[[Case], bool], bar: float, at_least: bool = True) -> str:
-    """One line of the table."""
-    n, k = len(cases), sum(hit(c) for c in cases)
+def said(case: Case) -> bool:
+    """Anything is named, or a class of names is given."""
+    return bool(case["named"] or case["classes"])
+
+
+def unshared(case: Case) -> bool:
+    """Named as if nothing were open, by a name that the truth and its nearest rival do not share."""
+    shared = set(case["truth"]["effects"]) & set(case["rival"][0].split("+"))
+    return case["verdict"] == "named" and not set(case["named"]) <= shared
+
+
+def places(case: Case) -> bool:
+    """A location is all that is claimed: beside a wrong name it is no merit."""
+    return bool(case["location"] and case["location"]["claimed"]) and not said(case)
+
+
+def weakest(case: Case) -> float:
+    """SNR of the least visible thing that is concealed; nan where the case ended before it was known."""
+    return min(case["snr"].values(), default=0.0) if "snr" in case else math.nan
+
+
+def near(case: Case) -> float:
+    """Distance of the nearest rival [sigma]; nan where the case ended before it was known."""
+    return float(case["rival"][1]) if "rival" in case else math.nan
+
+
+def told(cases: Sequence[Case]) -> list[Case]:
+    """Cases with a verdict."""
+    return [c for c in cases if "verdict" in c]
+
+
+def row(
+    title: str, cases: Sequence[Case], hit: Callable[[Case], bool], bar: float | None = None, at_least: bool = True
+) -> str:
+    """One line of the table.
+
+    A case without a verdict was not found: it misses what has to happen at least so often. Nothing wrong was said of it
+    either: of what may happen at most so often it is left out. Both are stated.
+
+    Parameters
+    ----------
+    title : str
+    cases : sequence of case
+    hit : callable
+        Of a case with a verdict.
+    bar : float, optional
+        None: a rate that no bar is set for.
+    at_least : bool
+    """
+    with_verdict = told(cases)
+    ended = len(cases) - len(with_verdict)
+    n, k = len(cases if at_least else with_verdict), sum(hit(c) for c in with_verdict)
     low, high = wilson(k, n, 1.96)
-    sign = "≥" if at_least else "≤"
-    rate = k / n if n else float("nan")
-    return (
-        f"{title:<66}{k:>5}/{n:<5}{100 * rate:6.1f} %  ({100 * low:.1f}–{100 * high:.1f})  {sign} {100 * bar:g} %  "
-        f"{judged(k, n, bar, at_least)}"
-    )
+    rate = f"{100 * k / n:6.1f} %  ({100 * low:.1f}–{100 * high:.1f})" if n else "     –"
+    held = "" if bar is None else f"  {'≥' if at_least else '≤'} {100 * bar:g} %  {judged(k, n, bar, at_least)}"
+    lost = f"  ({ended} without a verdict {'missed' if at_least else 'left out'})" if ended else ""
+    return f"{title:<{WIDTH}}{k:>5}/{n:<5}{rate}{held}{lost}"
 
 
 def table(cases: Iterable[Case]) -> str:
-    """All bars that the cases can speak about."""
-    every = [c for c in cases if "verdict" in c]
+    """All bars that the cases of one tier can speak about."""
+    every = list(cases)
     of: dict[str, list[Case]] = {}
     for c in every:
         of.setdefault(c["row"], []).append(c)
     lines = []
-
-    def weakest(c: Case) -> float:
-        return min(c["snr"].values(), default=0.0)
-
-    def near(c: Case) -> float:
-        return float(c["rival"][1])
-
     for name, key, bars in (
         ("single effect, six settings", "single", ((8, 0.95), (12, 0.99))),
         ("pairs, six settings", "pair", ((8, 0.90), (12, 0.97))),
         ("single effect, two settings of Fig. 7", "fig7", ((8, 0.95), (12, 0.99))),
+        ("pairs, two settings of Fig. 7", "fig7-pair", ((8, 0.90), (12, 0.97))),
     ):
-        group = of.get(key, [])
-        for snr, bar in bars:
-            chosen = [c for c in group if weakest(c) >= snr and near(c) >= 5]
-            lines.append(row(f"{name}: SNR ≥ {snr}, rival ≥ 5 σ: exactly named", chosen, exact, bar))
-        between = [c for c in group if weakest(c) >= 8 and 3 <= near(c) < 5]
-        lines.append(row(f"{name}: rival at 3-5 σ: named or a class that holds it", between, holds, 0.95))
-        below = [c for c in group if weakest(c) >= 8 and near(c) < 3]
-        lines.append(
-            row(
-                f"{name}: rival below 3 σ: a class that holds it, no lone name",
-                below,
-                lambda c: holds(c) and c["verdict"] != "named",
-                0.95,
-            )
-        )
-        # Where one of the two does it all by itself, a class of single effects is what the data allow.
-        two = [c for c in below if c.get("alone", math.inf) >= 3]
-        if len(two) < len(below):
-            lines.append(row("    of these more than 3 σ from either effect alone", two, holds, 0.95))
-        sizes = [len(m) for c in below for m in c["classes"]]
-        if sizes:
-            lines.append(f"    mean size of those classes {np.mean(sizes):.2f}")
-        weak = [c for c in group if weakest(c) < 8]
-        lines.append(row(f"{name}: weakest SNR < 8: a wrong lone name", weak, lone_wrong, 0.02, at_least=False))
-        lines.append(row(f"{name}: all: a wrong lone name", group, lone_wrong, 0.02, at_least=False))
+        lines += naming(name, of.get(key, []), bars)
+    lines += faint([c for key in CATALOGUED for c in of.get(key, [])])
     for key, title, bar in (
         ("clean", "clean", 0.02),
         ("clean-noise", "clean, σ × 1.3", 0.05),
         ("clean-settings", "clean, setting errors × 3", 0.05),
         ("clean-correlated", "clean, correlated noise", 0.05),
     ):
-        lines.append(
-            row(
-                f"{title}: anything named",
-                of.get(key, []),
-                lambda c: bool(c["named"] or c["classes"]),
-                bar,
-                at_least=False,
-            )
+        group = of.get(key, [])
+        lines.append(row(f"{title}: anything named", group, said, bar, at_least=False))
+        lines.append(row(f"{title}: 'nothing-missing'", group, lambda c: c["verdict"] == "nothing-missing", 1 - bar))
+    lines += outside([c for key in OUTSIDE for c in of.get(key, [])])
+    known = told(every)
+    lines += sizes([x for c in known if exact(c) for x in c["parameter_pulls"]])
+    lines += removed("named", [c["held_out"] for c in known if exact(c) and c["held_out"]], 0.95)
+    lines += removed("law", [c["held_out"] for c in known if c["law"] is not None and c["held_out"]], 0.8)
+    anew = [c for c in known if c.get("fresh") is not None or "fresh_error" in c]
+    lines.append(
+        row(
+            "amended.toml on a fresh recording: nothing-missing",
+            anew,
+            lambda c: c.get("fresh") == "nothing-missing",
+            0.95,
         )
-        lines.append(
-            row(
-                f"{title}: not 'nothing-missing'",
-                of.get(key, []),
-                lambda c: c["verdict"] != "nothing-missing",
-                bar,
-                at_least=False,
-            )
-        )
-    outside = [*of.get("removed", []), *of.get("stranger", [])]
+    )
+    return "\n".join([*lines, *silent(of)])
+
+
+def naming(name: str, group: Sequence[Case], bars: Sequence[tuple[float, float]]) -> list[str]:
+    """Lines of one or two concealed effects: bars are (SNR, rate)."""
+    lines = []
+    for snr, bar in bars:
+        chosen = [c for c in group if weakest(c) >= snr and near(c) >= 5]
+        lines.append(row(f"{name}: SNR ≥ {snr}, rival ≥ 5 σ: exactly named", chosen, exact, bar))
+
+    def loud(chosen: Sequence[Case]) -> list[Case]:
+        return [c for c in chosen if weakest(c) >= SEEN]
+
+    def allowed(c: Case) -> bool:
+        return holds(c, ("named", "class"))
+
+    between = [c for c in group if 3 <= near(c) < 5]
+    lines.append(row(f"{name}: rival at 3-5 σ: named or a class that holds it", between, allowed, 0.95))
+    lines.append(row(f"    of these with SNR ≥ {SEEN:g}", loud(between), allowed, 0.95))
+    below = [c for c in group if near(c) < 3]
+    lines.append(row(f"{name}: rival below 3 σ: a class that holds it", below, holds, 0.95))
+    lines.append(row(f"    of these with SNR ≥ {SEEN:g}", loud(below), holds, 0.95))
+    # Where one of the two does it all by itself, a class of single effects is what the data allow.
+    two = [c for c in below if c.get("alone", math.inf) >= 3]
+    if len(two) < len(below):
+        lines.append(row("    of these more than 3 σ from either effect alone", two, holds, 0.95))
+    lines.append(
+        row(f"{name}: rival below 3 σ: a lone name that the rival does not share", below, unshared, 0.0, at_least=False)
+    )
+    counts = [len(m) for c in told(below) if c["verdict"] == "class" for m in c["classes"]]
+    if counts:
+        lines.append(f"    mean size of those classes {np.mean(counts):.2f}, n = {len(counts)}")
+    weak = [c for c in group if weakest(c) < SEEN]
+    lines.append(row(f"{name}: weakest SNR < {SEEN:g}: a wrong lone name", weak, lone_wrong, 0.02, at_least=False))
+    lines.append(row(f"{name}: all: a wrong lone name", group, lone_wrong, 0.02, at_least=False))
+    return lines
+
+
+def faint(cases: Sequence[Case]) -> list[str]:
+    """Lines of effects that no size within their cap would make visible."""
+    chosen = [c for c in cases if unreachable(c)]
+    title = f"an effect below SNR {SEEN:g} even at its cap"
+    how = Counter(what(c, name) for c in told(chosen) for name in unreachable(c))
+    return [
+        row(f"{title}: a wrong name", chosen, lone_wrong, 0.0, at_least=False),
+        row(
+            f"{title}: limit stated, a class, nothing-missing, or rightly named",
+            chosen,
+            lambda c: all(what(c, name) != "nothing said" for name in unreachable(c)),
+            1.0,
+        ),
+        *([f"    of these effects {', '.join(f'{k} {n}' for k, n in how.most_common())}"] if how else []),
+    ]
+
+
+def unreachable(case: Case) -> list[str]:
+    """Concealed effects whose SNR at their cap is below `SEEN`."""
+    return [name for name, snr in case.get("reach", {}).items() if snr < SEEN]
+
+
+def what(case: Case, name: str) -> str:
+    """What a verdict says of one effect that is concealed."""
+    if name in case["named"]:
+        return "named"
+    if any(name in m for members in case["classes"] for m in members):
+        return "in a class"
+    if case["verdict"] == "nothing-missing":
+        return "nothing-missing"
+    return "limit stated" if case.get("limit_stated", {}).get(name) else "nothing said"
+
+
+def outside(cases: Sequence[Case]) -> list[str]:
+    """Lines of what the judge's catalogue does not hold: every name, and every class of names, is wrong."""
+    lines = []
     for title, low, high, bar in (("SNR < 20", 0, 20, 0.10), ("SNR ≥ 20", 20, math.inf, 0.03)):
-        chosen = [c for c in outside if low <= weakest(c) < high]
-        lines.append(
-            row(f"not in the catalogue, {title}: a wrong name", chosen, lambda c: bool(c["named"]), bar, at_least=False)
-        )
+        chosen = [c for c in cases if low <= weakest(c) < high]
+        name = f"not in the catalogue, {title}"
+        lines.append(row(f"{name}: a wrong name", chosen, lambda c: bool(c["named"]), bar, at_least=False))
         apart = [c for c in chosen if near(c) >= 5]
         lines.append(
             row("    of these with no rival within 5 σ", apart, lambda c: bool(c["named"]), bar, at_least=False)
         )
-    claimed = [c for c in outside if c["location"] and c["location"]["claimed"]]
+        lines.append(row(f"{name}: a wrong name or a wrong class", chosen, said, at_least=False))
+    claimed = [c for c in told(cases) if places(c)]
     lines.append(
         row("location, when claimed: right", claimed, lambda c: c["location"]["element"] == c["truth_element"], 0.90)
     )
-    for title, low, high, bar in (("12-20", 12, 20, 0.5), ("> 20", 20, math.inf, 0.75)):
-        chosen = [c for c in outside if low <= weakest(c) < high]
-        lines.append(
-            row(
-                f"location, SNR {title}: claimed",
-                chosen,
-                lambda c: bool(c["location"] and c["location"]["claimed"]),
-                bar,
-            )
-        )
-    pulls = np.array([x for c in every if exact(c) for x in c["parameter_pulls"]])
-    if len(pulls):
-        far = int((np.abs(pulls) > 3).sum())
-        lines.append(f"parameters of what was exactly named: pull std {pulls.std():.3f} (0.9-1.15), n = {len(pulls)}")
-        lines.append(
-            f"    beyond 3 σ {far}/{len(pulls)} = {100 * far / len(pulls):.1f} % (≤ 1.5 %), mean {pulls.mean():+.3f}"
-        )
-    for title, wanted, bar in (
-        ("named", [c for c in every if exact(c) and c["held_out"]], 0.95),
-        ("law", [c for c in every if c["law"] and c["held_out"]], 0.8),
-    ):
-        seen = [c["held_out"] for c in wanted if c["held_out"]["before"] >= 60 * math.sqrt(2 * c["held_out"]["data"])]
-        before, after = (sum(h[k] for h in (c["held_out"] for c in wanted)) for k in ("before", "after"))
-        if before > 0:
-            each = [1 - h["after"] / h["before"] for h in seen]
-            lines.append(
-                f"held-out excess χ² removed, {title}: pooled {1 - after / before:.3f} (≥ {bar}), n = {len(wanted)}; "
-                f"{sum(e >= bar for e in each)}/{len(each)} of those with much to remove"
-            )
-    fresh = [c for c in every if c.get("fresh") is not None]
-    lines.append(
-        row(
-            "amended.toml on a fresh recording: nothing-missing", fresh, lambda c: c["fresh"] == "nothing-missing", 0.95
-        )
-    )
-    return "\n".join(lines)
+    for title, low, high, bar in (("12-20", 12, 20, 0.5), ("above 20", 20, math.inf, 0.75)):
+        chosen = [c for c in cases if low <= weakest(c) < high]
+        lines.append(row(f"location, SNR {title}: claimed, and nothing named", chosen, places, bar))
+    return lines
+
+
+def sizes(pulls: Sequence[float]) -> list[str]:
+    """Lines of (estimate − truth)/σ of what was exactly named."""
+    x = np.array(pulls)
+    n = len(x)
+    if not n:
+        return ["parameters of what was exactly named: no cases"]
+    square = float(x @ x)
+    std = math.sqrt(square / n)
+
+    def bound(q: float) -> float:
+        # n independent normals about zero: their sum of squares over σ² is χ² of n degrees of freedom.
+        return math.sqrt(square / float(chi2.ppf(q, n)))
+
+    missed = bound(0.95) > STD[1] or bound(0.05) < STD[0]
+    state = "met" if STD[0] <= std <= STD[1] else "missed" if missed else "open"
+    title = "parameters of what was exactly named: std of (estimate − truth)/σ about 0"
+    far = [{"verdict": "", "far": abs(p) > 3} for p in x]
+    return [
+        f"{title:<{WIDTH}}{std:11.3f}  ({bound(0.975):.3f}–{bound(0.025):.3f})  {STD[0]} … {STD[1]}  {state}, n = {n}, "
+        f"mean {x.mean():+.3f}",
+        row("    beyond 3 σ", far, lambda c: c["far"], FAR, at_least=False),
+    ]
+
+
+def removed(title: str, excess: Sequence[Mapping[str, float]], bar: float) -> list[str]:
+    """Lines of left-out settings' excess χ² that is gone after what was found is put in."""
+    name = f"held-out excess χ² removed, {title}: pooled"
+    before, after = (np.array([h[k] for h in excess]) for k in ("before", "after"))
+    if before.sum() <= 0:
+        return [f"{name}: no cases"]
+    value = 1 - after.sum() / before.sum()
+    # Cases drawn anew with replacement, always alike.
+    pick = np.random.default_rng(0).integers(len(excess), size=(2000, len(excess)))
+    pooled = 1 - after[pick].sum(axis=1) / np.maximum(before[pick].sum(axis=1), 1e-9)
+    low, most, high = np.percentile(pooled, [2.5, 95, 97.5])
+    state = "met" if value >= bar else "missed" if most < bar else "open"
+    alone = [{"verdict": "", "share": 1 - h["after"] / h["before"]} for h in excess if much(h["data"], h["before"])]
+    return [
+        f"{name:<{WIDTH}}{value:11.3f}  ({low:.3f}–{high:.3f})  ≥ {bar}  {state}, n = {len(excess)}",
+        row(f"    cases with much to remove: {bar} or more of it", alone, lambda c: c["share"] >= bar),
+    ]
+
+
+def silent(of: Mapping[str, Sequence[Case]]) -> list[str]:
+    """A line that counts the cases without a verdict, by row; those of unknown SNR stand in no line by SNR."""
+    parts = []
+    for key, group in of.items():
+        lost = [c for c in group if "verdict" not in c]
+        # Of a clean case there is no SNR to know.
+        unknown = 0 if key.startswith("clean") else sum("snr" not in c for c in lost)
+        if lost:
+            where = f", {unknown} of unknown SNR and in no line by SNR" if unknown else ""
+            parts.append(f"{key} {len(lost)} of {len(group)}{where}")
+    return [f"without a verdict: {'; '.join(parts)}"] if parts else []
 
 
 def confusion(cases: Iterable[Case]) -> str:
-    """Concealed single effects against what was said of them."""
-    by: dict[str, Counter[str]] = {}
+    """What is concealed against what was said of it, apart for what the catalogue holds, what it lacks, and nothing."""
+    groups: dict[str, dict[str, Counter[str]]] = {}
     for c in cases:
-        if "verdict" not in c or len(c["truth"]["effects"]) > 1:
-            continue
-        true = c["truth"]["stranger"] or next(iter(c["truth"]["effects"]), "nothing")
-        if c["row"] == "removed":
-            true += " (removed)"
-        said = " + ".join(sorted(c["named"]))
-        if c["classes"]:
-            said = " ".join(filter(None, [said, "{" + " | ".join("+".join(m) for m in c["classes"][0]) + "}"]))
-        by.setdefault(true, Counter())[said or c["verdict"]] += 1
+        key = c["row"]
+        held = "in the catalogue" if key in CATALOGUED else "not in the catalogue"
+        group = f"concealed, {held}" if key in (*CATALOGUED, *OUTSIDE) else "nothing concealed"
+        groups.setdefault(group, {}).setdefault(concealed(c), Counter())[words(c)] += 1
     lines = []
-    for true in sorted(by):
-        said = ", ".join(f"{what} {n}" for what, n in by[true].most_common(6))
-        lines.append(f"{true:<34}{sum(by[true].values()):>4}: {said}")
+    for group in sorted(groups):
+        lines.append(f"{group}:")
+        for true in sorted(groups[group]):
+            counts = groups[group][true]
+            line = ", ".join(f"{text} {n}" for text, n in counts.most_common())
+            lines.append(f"  {true:<44}{sum(counts.values()):>4}: {line}")
     return "\n".join(lines)
+
+
+def concealed(case: Case) -> str:
+    """What a case conceals: ``screen-bow + canting``, ``dent``, ``nothing (clean-settings)``."""
+    if "truth" not in case:
+        return f"not known ({case['row']})"
+    truth = case["truth"]
+    name = truth["stranger"] or " + ".join(sorted(truth["effects"])) or "nothing"
+    return name if case["row"] in (*CATALOGUED, "stranger", "clean") else f"{name} ({case['row']})"
+
+
+def words(case: Case) -> str:
+    """What was said of it: ``screen-bow``, ``{screen-bow | grid-scale}``, ``in the screen``, ``nothing``."""
+    if "verdict" not in case:
+        return "no verdict"
+    text = claims.said_in_words(
+        {
+            "effects": [{"name": name} for name in case["named"]],
+            "classes": [{"members": members} for members in case["classes"]],
+            "location": case["location"],
+            "verdict": case["verdict"],
+        }
+    )
+    return text if text != "nothing" or case["verdict"] == "nothing-missing" else f"{case['verdict']}, without a name"
 
 
 def reliability(cases: Iterable[Case]) -> str:
     """P(present) as stated against how often the effect is there."""
     stated, there = [], []
-    for c in cases:
-        if "verdict" not in c or c["row"] in ("removed", "stranger"):
+    for c in told(list(cases)):
+        if c["row"] in OUTSIDE:
             continue
         for name, p in c["probability"].items():
             stated.append(p)
             there.append(name in c["truth"]["effects"])
-    p, t = np.array(stated), np.array(there)
+    p, t = np.array(stated), np.array(there, bool)
     lines = ["P(present) stated      n    there"]
-    edges = [0, 0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999, 1.0000001]
-    for low, high in itertools.pairwise(edges):
+    for low, high in itertools.pairwise(EDGES):
         inside = (p >= low) & (p < high)
         if inside.any():
             k, n = int(t[inside].sum()), int(inside.sum())

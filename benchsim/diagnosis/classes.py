@@ -107,8 +107,10 @@ def amplitude_vector(problem: Problem, names: Sequence[str], fit: Fit) -> Array:
 def estimate(within: Space, effects: Effects) -> Array:
     """Most probable amplitudes of a hypothesis by linear algebra, within bounds, 0 elsewhere."""
     places = within.places(effects)
-    inner = within.gram[np.ix_(places, places)] + np.diag(within.sigma[places] ** -2.0)
     out = np.zeros(len(within.sigma))
+    if not len(places):
+        return out
+    inner = within.gram[np.ix_(places, places)] + np.diag(within.sigma[places] ** -2.0)
     out[places], _ = _bounded(inner, within.projection[places], within.low[places], within.high[places])
     return out
 

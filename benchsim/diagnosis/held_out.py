@@ -22,10 +22,10 @@ from scipy.linalg import cho_solve
 
 from benchsim.diagnosis import noise as noises
 from benchsim.diagnosis import screen
-from benchsim.diagnosis.attachments import Attached, Prepared, smooth_functions, weigh, whitened
+from benchsim.diagnosis.attachments import Attached, Prepared, kernel_root, smooth_functions, weigh, whitened
 from benchsim.diagnosis.classes import estimate, space
 from benchsim.diagnosis.evidence import Term
-from benchsim.diagnosis.fits import LARGEST, Effects, Naming
+from benchsim.diagnosis.fits import LARGEST, Effects, Naming, Noise
 from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, precision, whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import HeldOut
@@ -75,7 +75,7 @@ class Shown:
     chosen: tuple[str, ...]
 
 
-def folds(problem: Problem, naming: Naming, linear: Linear) -> tuple[Fold, ...]:
+def folds(problem: Problem, naming: Naming, linear: Linear, laid: Attached | None = None) -> tuple[Fold, ...]:
     """Leave out every setting once, in at most `FOLDS` folds; none where there are fewer than `FEWEST` settings.
 
     Parameters
@@ -84,29 +84,47 @@ def folds(problem: Problem, naming: Naming, linear: Linear) -> tuple[Fold, ...]:
     naming : Naming
     linear : Linear
         The whole catalogue's amplitudes about the best fit (`classes.about`); the naming's own where nothing was found.
+    laid : Attached, optional
+        The function that stands in for what has no name. What it leaves is the noise; what it explains is not, and
+        would otherwise be taken for errors that neighbours share.
     """
     settings = list(dict.fromkeys(problem.groups))
     if len(settings) < FEWEST:
         return ()
     number = {g: i % min(FOLDS, len(settings)) for i, g in enumerate(settings)}
     of = np.array([number[g] for g in problem.groups])[problem.block]
-    null = naming.linear
-    raw = _unwhiten(problem, naming.noise.covariance, np.column_stack([null.residual, null.nuisance, null.effect]))
+    null, p = naming.linear, naming.linear.nuisance.shape[1]
+    raw, remove = _judged_by(problem, naming, laid)
     again = _unwhiten(
         problem, naming.noise.covariance, np.column_stack([linear.residual, linear.nuisance, linear.effect])
     )
-    p = null.nuisance.shape[1]
-    known = {q.name: q for e in problem.catalogue for q in e.parameters}
-    sigma = np.concatenate([np.ones(p), [known[n].sigma ** known[n].power for n in null.names]])
-    functions = smooth_functions(problem)
     out = []
     for f in range(int(of.max()) + 1):
         test = of == f
-        fold_noise = noises.estimate(problem, raw[:, 0], np.column_stack([raw[:, 1:] * sigma, *functions]), ~test)
+        fold_noise = noises.estimate(problem, raw[:, 0], remove, ~test)
         at_null = _rewhiten(problem, null, raw, fold_noise.covariance, p)
         fold_naming = replace(naming, noise=fold_noise, linear=at_null)
         out.append(Fold(test, fold_naming, _rewhiten(problem, linear, again, fold_noise.covariance, p)))
     return tuple(out)
+
+
+def noise_beside(problem: Problem, naming: Naming, laid: Attached) -> Noise:
+    """Noise as all data show it beside a function: what that explains is no noise."""
+    raw, remove = _judged_by(problem, naming, laid)
+    return noises.estimate(problem, raw[:, 0], remove)
+
+
+def _judged_by(problem: Problem, naming: Naming, laid: Attached | None) -> tuple[Array, Array]:
+    """Residual, nuisances and effects about the null in the data's units, and the columns that are no noise."""
+    null = naming.linear
+    raw = _unwhiten(problem, naming.noise.covariance, np.column_stack([null.residual, null.nuisance, null.effect]))
+    known = {q.name: q for e in problem.catalogue for q in e.parameters}
+    sigma = np.concatenate([np.ones(null.nuisance.shape[1]), [known[n].sigma ** known[n].power for n in null.names]])
+    functions = smooth_functions(problem)
+    if laid is not None:
+        a = laid.attachment
+        functions.append(a.basis @ kernel_root(a, min(a.lengths)) * a.sigma)
+    return raw, np.column_stack([raw[:, 1:] * sigma, *functions])
 
 
 def _unwhiten(problem: Problem, covariance: tuple[Array, ...], white: Array) -> Array:

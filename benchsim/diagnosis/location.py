@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.stats import norm
 
-from benchsim.diagnosis.linear import Linear, precision
+from benchsim.diagnosis.linear import Linear, marginal, precision, whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Location, Stretch
 
@@ -32,6 +32,10 @@ FAMILY_WISE = 0.01
 """Rate at which a recording without anything missing shows a stretch at all."""
 
 _SHORTEST = 3
+
+_SEEN = 1e-11
+"""Part of a filter's square that nuisances have to leave of it, far above rounding: one that they take up altogether
+says nothing. An effect of ten thousand sigma of which ten stand out, beside settings, leaves 1e-6."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,9 @@ def locate(explanations: Sequence[Explanation], stretches: tuple[Stretch, ...] =
     return Location(best.element, best.coordinate, claimed, float(margin), stretches)
 
 
-def scan(problem: Problem, linear: Linear, covariance: tuple[Array, ...], scale: float) -> tuple[Stretch, ...]:
+def scan(
+    problem: Problem, linear: Linear, covariance: tuple[Array, ...], scale: float, signal: Array | None = None
+) -> tuple[Stretch, ...]:
     """Stretches where the residual of a hypothesis departs from 0.
 
     Parameters
@@ -79,43 +85,27 @@ def scan(problem: Problem, linear: Linear, covariance: tuple[Array, ...], scale:
     covariance : tuple of (n_b, n_b)
     scale : float
         Setting scale.
+    signal : (n,) array, optional
+        What was found, in the data's units: every window is then looked through with its form, too, since a constant
+        does not see what bends both ways within a window. Only for what was found beforehand: its form comes from
+        these data.
 
     Returns
     -------
     tuple of Stretch
         The strongest first, disjoint along each line; ``z`` is two-sided and corrected for every window tried.
     """
-    windows = list(_windows(problem))
+    windows = [(b, members, np.ones(len(members))) for b, members in _windows(problem)]
+    if signal is not None:
+        windows += [(b, members, signal[members]) for b, members, _ in windows]
     if not windows:
         return ()
-    s = np.where(linear.scaled, scale, 1.0)
-    factor = precision(linear.nuisance, s)
-    pull = cho_solve(factor, linear.nuisance.T @ linear.residual)
-    cleaned = linear.residual - linear.nuisance @ pull
-    z = np.empty(len(windows))
-    first = 0
-    for b in range(len(problem.names)):
-        rows = problem.rows(b)
-        mine = [w for w in windows if w[0] == b]
-        if not mine:
-            continue
-        filters = np.zeros((rows.stop - rows.start, len(mine)))
-        for k, (_, members) in enumerate(mine):
-            filters[members - rows.start, k] = 1.0
-        white = solve_triangular(np.linalg.cholesky(covariance[b]), filters, lower=True)
-        cross = linear.nuisance[rows].T @ white
-        variance = (white**2).sum(axis=0) - np.einsum("ij,ij->j", cross, cho_solve(factor, cross))
-        # A window that the nuisances take up altogether says nothing.
-        good = variance > 1e-6 * (white**2).sum(axis=0)
-        z[first : first + len(mine)] = np.where(
-            good, (white.T @ cleaned[rows]) / np.sqrt(np.where(good, variance, 1)), 0
-        )
-        first += len(mine)
+    z = _matched(problem, linear, covariance, scale, windows)
     chance = np.minimum(1.0, len(windows) * 2 * norm.sf(np.abs(z)))
     found: list[Stretch] = []
     taken = np.zeros(len(problem.data), bool)
     for k in np.argsort(-np.abs(z)):
-        b, members = windows[k]
+        b, members, _ = windows[k]
         if chance[k] > FAMILY_WISE:
             break
         if taken[members].any():
@@ -125,6 +115,48 @@ def scan(problem: Problem, linear: Linear, covariance: tuple[Array, ...], scale:
         corrected = float(norm.isf(chance[k] / 2)) if chance[k] > 0 else _large(float(abs(z[k])), len(windows))
         found.append(Stretch(problem.names[b], float(where.min()), float(where.max()), corrected))
     return tuple(found)
+
+
+def by_kind(
+    problem: Problem, linear: Linear, covariance: tuple[Array, ...], scale: float, signal: Array
+) -> dict[str, float]:
+    """By how many sigma each kind of datum, taken alone, follows what was found; arguments as in `scan`."""
+    kinds = np.unique(problem.kind)
+    columns = whiten(problem, covariance, np.where(problem.kind[:, None] == kinds, signal[:, None], 0.0))[0]
+    m = marginal(linear, columns, scale)
+    power = np.diag(m.gram)
+    good = power > _SEEN * (columns**2).sum(axis=0)
+    z = np.where(good, m.projection / np.sqrt(np.where(good, power, 1)), 0.0)
+    return {str(k): float(v) for k, v in zip(kinds, z, strict=True)}
+
+
+def _matched(
+    problem: Problem,
+    linear: Linear,
+    covariance: tuple[Array, ...],
+    scale: float,
+    windows: Sequence[tuple[int, NDArray[np.intp], Array]],
+) -> Array:
+    """z of every window (block, data, filter over them), in their order."""
+    s = np.where(linear.scaled, scale, 1.0)
+    factor = precision(linear.nuisance, s)
+    pull = cho_solve(factor, linear.nuisance.T @ linear.residual)
+    cleaned = linear.residual - linear.nuisance @ pull
+    z = np.zeros(len(windows))
+    for b in range(len(problem.names)):
+        rows = problem.rows(b)
+        mine = [k for k, w in enumerate(windows) if w[0] == b]
+        if not mine:
+            continue
+        filters = np.zeros((rows.stop - rows.start, len(mine)))
+        for column, k in enumerate(mine):
+            filters[windows[k][1] - rows.start, column] = windows[k][2]
+        white = solve_triangular(np.linalg.cholesky(covariance[b]), filters, lower=True)
+        cross = linear.nuisance[rows].T @ white
+        variance = (white**2).sum(axis=0) - np.einsum("ij,ij->j", cross, cho_solve(factor, cross))
+        good = variance > _SEEN * (white**2).sum(axis=0)
+        z[mine] = np.where(good, (white.T @ cleaned[rows]) / np.sqrt(np.where(good, variance, 1)), 0)
+    return z
 
 
 def _large(z: float, windows: int) -> float:

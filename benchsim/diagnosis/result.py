@@ -71,13 +71,18 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Location:
-    """Where in the path of the light the misfit lies. ``margin``: Δ ln Z over the best other element."""
+    """Where in the path of the light the misfit lies. ``margin``: Δ ln Z over the best other element.
+
+    Where effects of several elements were named, ``element`` lists them, nothing is claimed and the margin is 0.
+    ``by_kind``: by how many sigma each kind of datum alone shows what was found; empty where nothing was.
+    """
 
     element: str
     coordinate: str
     claimed: bool
     margin: float
     along_trace: tuple[Stretch, ...]
+    by_kind: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -216,6 +221,7 @@ class Diagnosis:
                     {"exposure": s.exposure, "from_mm": plain(s.from_mm), "to_mm": plain(s.to_mm), "z": plain(s.z)}
                     for s in self.location.along_trace
                 ],
+                "by_kind": {k: plain(v) for k, v in self.location.by_kind.items()},
             },
             "law": None
             if self.law is None

@@ -18,7 +18,7 @@ from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
-from benchsim.instruments.bench import amend, effects, observables
+from benchsim.instruments.bench import amend, candidates, effects, observables, sizes
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.instruments.bench.prediction import Predict
 from benchsim.jobs import exhibits
@@ -27,7 +27,7 @@ from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
 from benchsim.jobs.workers import Workers, workers
 from benchsim.report import diagnosis_pictures as pictures
-from benchsim.report.diagnosis_text import About, summary
+from benchsim.report.diagnosis_text import About, listed, summary
 
 if TYPE_CHECKING:
     from benchsim.jobs.mounting import MountDiagnosis
@@ -154,7 +154,7 @@ def diagnose(
     folder = Path(output) if output is not None else default_folder(source, "diagnose")
     checked = read(source, images=True)
     effects.check(checked)
-    effects.simulated(checked, against)
+    candidates.simulated(checked, against)
     options = {"against": against, "pictures": pictures}
     with workers() as pool:
         with output_folder(folder, "diagnose", sources(checked), options, checked.defaults_used) as staging:
@@ -196,6 +196,7 @@ def diagnose_recording(
     problem = replace(bench_problem.build(recording, observed, against=against), spread=pool.spread)
     problem = replace(problem, catalogue=tuple(e for e in problem.catalogue if e.name not in without))
     found = diagnosis.diagnose(problem, lambda what, done: progress(what, 0.35 + 0.4 * done))
+    found = sizes.sized(problem, found)
     said = tuple(note for o in observed for note in o.notes)
     return DiagnosisResult(
         recording=recording,
@@ -203,7 +204,7 @@ def diagnose_recording(
         diagnosis=found,
         problem=problem,
         lost=lost,
-        remarks=(*remarks(recording, observed), *said),
+        remarks=(*remarks(recording, observed), *said, *not_judged(recording, against)),
         against=against,
         folder=folder,
     )
@@ -238,6 +239,20 @@ def remarks(recording: Recording, observed: Sequence[observables.Observed]) -> t
     if blind:
         out.append(f"The gamma of camera {', '.join(blind)} is not known, so that its flux and width are not used.")
     return tuple(out)
+
+
+def not_judged(recording: Recording, against: str) -> tuple[str, ...]:
+    """The effects of the catalogue that this recording says nothing of, and why, in one sentence; () if there are none.
+
+    What was left out of the catalogue for a trial is not among them: that is no matter of the recording.
+    """
+    reasons: dict[str, list[str]] = {}
+    for name, why in candidates.not_judged(recording, against).items():
+        reasons.setdefault(why, []).append(name)
+    if not reasons:
+        return ()
+    words = ", ".join(f"{listed(names)} ({why})" for why, names in reasons.items())
+    return (f"Not judged here: {words}.",)
 
 
 def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progress = silent) -> tuple[str, ...]:

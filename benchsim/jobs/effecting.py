@@ -24,6 +24,7 @@ from benchsim.jobs.output import label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import workers
 from benchsim.report import effects_text
+from benchsim.report.diagnosis_text import shapes_text
 
 TOLD_AT = 10.0
 """Size in sigma at which effects are compared: at their caps many differ only because one cap is larger."""
@@ -51,6 +52,7 @@ class CatalogueResult:
                     "remedy": e.remedy,
                     "source": e.source,
                     "synonyms": list(e.synonyms),
+                    "drawn": e.drawn,
                 }
                 for e in self.entries
             ],
@@ -65,6 +67,7 @@ class CatalogueResult:
                 tuple((t.name, t.unit, t.cap, t.one_sided, bool(t.grid)) for t in e.terms),
                 e.says,
                 e.synonyms,
+                e.drawn,
             )
             for e in sorted(self.entries, key=lambda e: bench_effects.ELEMENTS.index(e.element))
         ]
@@ -144,6 +147,7 @@ class IsolabilityResult:
                 close=CLOSE,
                 told_at=TOLD_AT,
                 defaults=r.defaults_used,
+                shaped=shapes_text(self.effects),
             )
         )
 

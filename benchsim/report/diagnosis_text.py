@@ -76,10 +76,10 @@ def summary(d: Diagnosis, about: About) -> str:
     parts.append(_headline(d, words))
     parts += [_found(f, words) for f in d.effects]
     parts += list(_classes(d, about))
-    parts += list(_where(d))
+    parts += list(_where(d, words))
     parts += list(_better(d, words))
     parts += list(_next(d))
-    parts += list(_limits(d))
+    parts += list(_limits(d, about))
     parts += list(_settings(d, words))
     parts += [_wrapped(f"Dropped: {sentence}") for sentence in about.lost]
     if about.remarks or d.notes:
@@ -150,7 +150,7 @@ def _item(text: str) -> str:
 
 
 def _headline(d: Diagnosis, words: Vocabulary) -> str:
-    names = _listed([f.name for f in d.effects])
+    names = listed([f.name for f in d.effects])
     match d.verdict:
         case "nothing-missing":
             text = f"NOTHING IS MISSING that these {words.recordings} could show. "
@@ -172,7 +172,8 @@ def _headline(d: Diagnosis, words: Vocabulary) -> str:
     return _wrapped(text)
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
@@ -206,25 +207,48 @@ def _classes(d: Diagnosis, about: About) -> Iterator[str]:
         yield "\n".join(lines)
 
 
-def _where(d: Diagnosis) -> Iterator[str]:
+def several(element: str) -> bool:
+    """Whether a location lists the elements of several effects, ``mirror + screen``, instead of saying which one."""
+    return " + " in element
+
+
+def place_text(element: str, coordinate: str) -> str:
+    """``in the camera, as a function of image row``; ``in the mirror and the screen``."""
+    where = f"in {listed([f'the {e}' for e in element.split(' + ')])}"
+    return f"{where}, as a function of {coordinate}" if coordinate else where
+
+
+STANDS_OUT = 3.0
+"""Sigma from which on a kind of datum is said to show what was found."""
+
+
+def shown_text(by_kind: Mapping[str, float], words: Vocabulary, stretches: int) -> str:
+    """``It shows in marks (12.1 sigma), all exposures together; no single stretch of a trace stands out.``"""
+    seen = sorted((k for k in by_kind if by_kind[k] >= STANDS_OUT), key=lambda k: -by_kind[k])
+    if not seen:
+        return ""
+    each = listed([f"{words.kinds.get(k, (k, ''))[0]} ({by_kind[k]:.1f} sigma)" for k in seen])
+    alone = "" if stretches else "; no single stretch stands out"
+    return f"It shows in {each}, all {words.one}s together{alone}."
+
+
+def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     where = d.location
     if where is None:
         return
     lines = []
+    place = place_text(where.element, where.coordinate)
     if where.claimed:
-        lines.append(
-            _wrapped(
-                f"Where: in the {where.element}, as a function of {where.coordinate} "
-                f"({odds(where.margin)} over every other element)."
-            )
-        )
+        lines.append(_wrapped(f"Where: {place} ({odds(where.margin)} over every other element)."))
+    elif several(where.element):
+        lines.append(_wrapped(f"Where: {place}, by what was named."))
     else:
         lines.append(
-            _wrapped(
-                f"Where: most likely in the {where.element}, as a function of {where.coordinate}; "
-                f"{odds(where.margin)} over the next element do not settle it."
-            )
+            _wrapped(f"Where: most likely {place}; {odds(where.margin)} over the next element do not settle it.")
         )
+    shown = shown_text(where.by_kind, words, len(where.along_trace))
+    if shown:
+        lines.append(_wrapped(shown, "  "))
     for s in sorted(where.along_trace, key=lambda s: -s.z)[:6]:
         lines.append(f"  {s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace, {s.z:.1f} sigma")
     if len(where.along_trace) > 6:
@@ -243,6 +267,10 @@ def _where(d: Diagnosis) -> Iterator[str]:
             )
         )
     yield "\n".join(lines)
+
+
+OVERSTATED = 3.0
+"""Sigma below zero at which an excess χ² says that the noise is less than was estimated."""
 
 
 def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
@@ -276,7 +304,9 @@ def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     text = start + f"the {words.recordings}' misfit beyond noise and setting errors (excess χ²) falls from "
     text += f"{before:.0f} to {after:.0f} "
     text += f"(± {held.sigma:.0f})"
-    if held.fraction_removed is not None and before > 2 * held.sigma:
+    if after < -OVERSTATED * held.sigma:
+        text += "; below zero by more than its scatter, so that the noise is overstated and no gain can be given."
+    elif held.fraction_removed is not None and before > 2 * held.sigma:
         text += f": {100 * held.fraction_removed:.1f} % of it is removed."
     else:
         text += "; before, it was within its scatter, so that these recordings show no gain."
@@ -301,17 +331,35 @@ def _next(d: Diagnosis) -> Iterator[str]:
     yield "\n".join(lines)
 
 
-def _limits(d: Diagnosis) -> Iterator[str]:
-    """All of them where nothing was found; else only those that could not be seen at all."""
+def _limits(d: Diagnosis, about: About) -> Iterator[str]:
+    """All of them where nothing was found; else those that could not be seen at all, and those of physics that the
+    simulation leaves out as a whole: whoever puts it in doubt asks after each of them."""
     seen = {k: v for k, v in d.limits.items() if v.reachable}
     blind = {k: v for k, v in d.limits.items() if not v.reachable}
+    if d.verdict != "nothing-missing":
+        open_ = {*(f.name for f in d.effects), *(name for c in d.classes for member in c.members for name in member)}
+        whole = {e.name for e in about.catalogue if e.whole} - open_
+        seen = {k: v for k, v in seen.items() if k.split(".")[0] in whole}
     if d.verdict == "nothing-missing" and seen:
         lines = ["Each of these would have been seen at five sigma had it been as large as:"]
         lines += limit_rows(seen)
         yield "\n".join(lines)
+    elif seen:
+        words = ", ".join(f"{k.split('.')[0]} ({size_text(v)})" for k, v in seen.items())
+        yield _wrapped(f"Not found, and would have been seen at five sigma had it been as large as: {words}.")
     if blind:
         start = "Cannot be seen in these recordings at any plausible size: "
         yield _wrapped(start + ", ".join(f"{k.split('.')[0]} ({size_text(v)} needed)" for k, v in blind.items()) + ".")
+    told = {k.split(".")[0] for k in (*seen, *blind)}
+    if shaped := shapes_text([e for e in about.catalogue if e.name in told]):
+        yield _wrapped(f"{shaped} at one point of these only, the most probable that was tried.")
+
+
+def shapes_text(catalogue: Sequence[Effect]) -> str:
+    """Begins a sentence on the limits of effects that have a shape beside their size; empty where none has."""
+    shapes = {e.name: [p.name for p in e.parameters if len(p.grid) > 1] for e in catalogue}
+    words = [f"{name} ({', '.join(own)})" for name, own in shapes.items() if own]
+    return f"What is said here of {listed(words)} holds" if words else ""
 
 
 def size_text(v: Limit) -> str:

@@ -15,17 +15,19 @@ from benchsim.report.vocabulary import BENCH
 
 @dataclass(frozen=True)
 class Row:
-    """An effect of the catalogue; parameters as (name, unit, cap, one-sided, shape)."""
+    """An effect of the catalogue; parameters as (name, unit, cap, one-sided, shape); ``drawn`` as the entry has it."""
 
     name: str
     element: str
     parameters: tuple[tuple[str, str, float, bool, bool], ...]
     says: str
     synonyms: tuple[str, ...]
+    drawn: str = ""
 
 
 def catalogue(rows: Sequence[Row]) -> str:
-    """Effects by element: parameters with units and plausible range, one sentence of physics."""
+    """Effects by element: parameters with units and plausible range, a sentence of physics, and of how it is drawn
+    where that is by a closed form."""
     lines = [
         "In a file: [effects.NAME] with these parameters; with `render`: --effect NAME.PARAMETER=VALUE.",
         "The ranges are what is plausible; diagnosis gives each amplitude a prior of half of it.",
@@ -37,7 +39,9 @@ def catalogue(rows: Sequence[Row]) -> str:
             lines.append(f"  {r.name:<22}{first}")
             lines += [f"  {'':<22}{text}" for text in more]
             says = r.says + (f" Counts as the same: {', '.join(r.synonyms)}." if r.synonyms else "")
-            lines.append(fill(says, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6))
+            lines += [
+                fill(text, WIDTH, initial_indent=" " * 6, subsequent_indent=" " * 6) for text in (says, r.drawn) if text
+            ]
     return "\n".join(lines)
 
 
@@ -58,7 +62,7 @@ def _parameters(r: Row) -> list[str]:
 
 @dataclass(frozen=True)
 class Plan:
-    """What `isolability` prints; see ``jobs.effecting.IsolabilityResult``."""
+    """What `isolability` prints; see ``jobs.effecting.IsolabilityResult``. ``shaped``: `shapes_text` of the effects."""
 
     title: str
     exposures: int
@@ -73,6 +77,7 @@ class Plan:
     close: float
     told_at: float
     defaults: tuple[str, ...]
+    shaped: str = ""
 
 
 def isolability(p: Plan) -> str:
@@ -103,6 +108,8 @@ def isolability(p: Plan) -> str:
     if blind:
         words = [f"{n} ({size_text(p.limits[n])} needed)" if n in p.limits else n for n in blind]
         lines.append(_paragraph("Cannot be seen at any plausible size", words))
+    if p.shaped:
+        lines.append(_paragraph_of(f"{p.shaped} at one point of these only, the middle of their range."))
     pairs = []
     for i, a in enumerate(names):
         for b in names[i + 1 :]:
@@ -134,7 +141,11 @@ def _reachable(p: Plan, name: str) -> bool:
 
 
 def _paragraph(start: str, words: Sequence[str]) -> str:
-    return fill(f"{start}: {'; '.join(words)}.", WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+    return _paragraph_of(f"{start}: {'; '.join(words)}.")
+
+
+def _paragraph_of(text: str) -> str:
+    return fill(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def _sigmas(x: float) -> str:

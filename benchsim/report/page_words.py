@@ -7,7 +7,19 @@ from math import inf, log10
 from typing import Any
 
 from benchsim.diagnosis.result import Size
-from benchsim.report.diagnosis_text import SIMULATION, number, odds, percent, rounded, unit_text
+from benchsim.report.diagnosis_text import (
+    OVERSTATED,
+    SIMULATION,
+    listed,
+    number,
+    odds,
+    percent,
+    place_text,
+    rounded,
+    several,
+    shown_text,
+    unit_text,
+)
 from benchsim.report.vocabulary import BENCH, Vocabulary, of
 
 Json = Mapping[str, Any]
@@ -41,7 +53,7 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
         "remedy": words.remedy,
         "told": words,
         "says": says,
-        "where": _where(d),
+        "where": _where(d, words),
         "law": _law(d),
         "rms": [(*words.kinds.get(k, (k, "")), v["before"], v["after"]) for k, v in d["fit"]["rms"].items()],
         "left_out": _left_out(d, words),
@@ -73,22 +85,19 @@ def _headline(d: Json, words: Vocabulary) -> str:
             return f"Something is missing from the simulation; neither its name nor its place can be told.{part}"
 
 
-def listed(names: Sequence[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-
-
-def _where(d: Json) -> str:
+def _where(d: Json, words: Vocabulary) -> str:
     w = d["location"]
     if w is None:
         return ""
-    sure = odds(inf if w["margin"] is None else w["margin"])
+    sure, at = odds(inf if w["margin"] is None else w["margin"]), place_text(w["element"], w["coordinate"])
     if w["claimed"]:
-        return f"In the {w['element']}, as a function of {w['coordinate']}: {sure} over any other element."
-    return (
-        f"Most likely in the {w['element']}, as a function of {w['coordinate']}; {sure} over the next element "
-        "do not settle it."
-    )
+        text = f"I{at[1:]}: {sure} over any other element."
+    elif several(w["element"]):
+        text = f"I{at[1:]}, by what was named."
+    else:
+        text = f"Most likely {at}; {sure} over the next element do not settle it."
+    # A diagnosis of before this was told has no ``by_kind``.
+    return f"{text} {shown_text(w.get('by_kind', {}), words, len(w['along_trace']))}".rstrip()
 
 
 def _law(d: Json) -> str:
@@ -117,6 +126,8 @@ def _left_out(d: Json, words: Vocabulary) -> str:
         f"Their misfit beyond noise and setting errors (excess χ²) falls from {_chi2(before)} to {_chi2(after)} "
         f"(± {sigma:.0f})"
     )
+    if after < -OVERSTATED * sigma:
+        return text + "; below zero by more than its scatter: the noise is overstated, and no gain can be given."
     if h["fraction_removed"] is not None and before > 2 * sigma:
         return text + f": {100 * h['fraction_removed']:.1f} % of it is removed."
     return text + "; before, it was within its scatter, so that these recordings show no gain."

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from toy import toy
 
-from benchsim.diagnosis import attachments, classes, held_out, naming
+from benchsim.diagnosis import attachments, classes, diagnose, held_out, naming
 
 
 def prepared(problem):
@@ -89,3 +89,16 @@ def test_where_the_effect_has_no_name_a_function_is_chosen():
     shown = held_out.show(problem, many, ready)
     assert set(shown.chosen) == {"mirror.lean"}
     assert shown.held_out.fraction_removed > 0.8
+
+
+def test_what_a_function_explains_is_no_noise():
+    """A bump of 60 times the noise, sharper than the smoothest functions: as errors that neighbours share it would make
+    the left-out data fit far too well, and hide how much they were missed by before."""
+    d = diagnose(toy({"bump": 3.0}, 6))
+    assert d.verdict == "located" and d.law is not None
+    assert d.sigma_scale < 1.5 and d.correlation == 0.0
+    assert abs(d.held_out.excess_chi2_after) < 4 * d.held_out.sigma
+    # The bump's own square in the noise's units, settings aside: sum of its values over 8 lines.
+    x = np.linspace(-1, 1, 24)
+    bump = 3.0 * np.exp(-(((x - 0.3) / 0.25) ** 2)) / 0.05
+    assert 0.3 * 8 * (bump**2).sum() < d.held_out.excess_chi2_before < 8 * (bump**2).sum()

@@ -12,7 +12,7 @@ import pytest
 from toy import toy
 
 from benchsim.diagnosis import diagnose, naming
-from benchsim.diagnosis.diagnose import judge
+from benchsim.diagnosis.judging import judge
 
 
 def test_clean_lines_lack_nothing_and_the_limits_are_stated():
@@ -120,3 +120,11 @@ def test_clean_lines_are_not_named_even_with_settings_worse_than_stated():
         problem = toy({}, seed, setting_scale=3.0)
         named += bool(judge(problem, naming.name(problem, refits=5)).findings.stands)
     assert named <= 1
+
+
+@pytest.mark.parametrize(("size", "seed", "said"), [(0.08, 24, "nothing-missing"), (0.12, 32, "named")])
+def test_what_is_suspected_or_probable_comes_with_what_would_settle_it(size, seed, said):
+    d = diagnose(toy({"lens_a": size}, seed, without=("lens-b",), attached=False))
+    assert d.verdict == said and all(f.confidence == "probable" for f in d.effects)
+    assert d.effects or any("lens-a is suspected" in note for note in d.notes)
+    assert d.next and d.next[0].what == "the line through a microscope"

@@ -20,6 +20,7 @@ from benchsim import rays
 from benchsim.bench.files import read
 from benchsim.bench.place import place
 from benchsim.instruments.bench import effects, observables
+from benchsim.instruments.bench.candidates import candidates
 from benchsim.instruments.bench.problem import build
 from benchsim.render import EFFECTS as drawn
 from benchsim.render.motion import motion
@@ -44,6 +45,7 @@ normal = signed_distance(Curve(a + expected), b)[0]
 assert np.abs(normal).max() < 1e-6, np.abs(normal).max()
 assert np.allclose(motion(moved, late, at).shift, expected, atol=1e-12)
 problem = build(plain, observables.simulate(plain), attached=False)
+assert "settling" not in [e.name for e in candidates(replace(plain, exposures=plain.exposures[:1]))]
 entry = next(e for e in problem.catalogue if e.name == "settling")
 changed = problem.predict(settling, 2) - problem.predict({{}}, 2)
 assert np.abs(changed).max() > 0.01

@@ -11,7 +11,9 @@ import pytest
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read
 from benchsim.bench.model import Physics, Recording
+from benchsim.diagnosis.problem import Effect
 from benchsim.instruments.bench import effects
+from benchsim.instruments.bench.candidates import candidates, not_judged
 
 NAMES = """pivot-offset facets canting axis-tilt azimuth-offset second-surface facet-tilts axis-wobble facet-curvature
 beam-direction beam-offset wavefront-curvature astigmatism coma finite-beam diffraction window window-tilt air-gradient
@@ -42,6 +44,8 @@ def test_catalogue_holds_every_effect_once_with_sentences():
         ({"facet-tilts": {"tilt_12": 1.0}}, ("effects.facet-tilts.tilt_12", "from 0 to 11")),
         ({"second-surface": {"glass": -1.0}}, ("effects.second-surface.glass", "0 or more")),
         ({"facets": {"facets": 1.5}}, ("effects.facets.facets", "0 to 1")),
+        ({"facets": {"size_mm": -1.0}}, ("effects.facets.size_mm", "0 or more")),
+        ({"canting": {"size_mm": 1.0}}, ("effects.canting.size_mm", "no such parameter")),
         ({"plume": {"plume": 0.1, "plume_width": 0.0}}, ("effects.plume.plume_width", "more than 0")),
     ],
 )
@@ -55,11 +59,13 @@ def test_unknown_or_impossible_effects_are_refused_in_one_sentence(bench, given,
 def test_every_parameter_of_the_catalogue_is_accepted(bench):
     given = {e.name: {t.name: (t.grid[0] if t.grid else 0.5) for t in e.terms} for e in effects.CATALOGUE}
     given["facet-tilts"] = {"tilt_0": 0.5, "tilt_11": -0.5}
+    for name in ("facets", "finite-beam", "diffraction"):
+        given[name]["size_mm"] = 2.5
     effects.check(replace(bench, effects=given))
 
 
-def _names(recording: Recording, against: str = "bench") -> dict[str, effects.Effect]:
-    return {e.name: e for e in effects.candidates(recording, against)}
+def _names(recording: Recording, against: str = "bench") -> dict[str, Effect]:
+    return {e.name: e for e in candidates(recording, against)}
 
 
 def test_switches_compete_only_where_physics_has_them_false(bench):
@@ -68,7 +74,7 @@ def test_switches_compete_only_where_physics_has_them_false(bench):
     assert {"facets", "finite-beam", "diffraction"} <= _names(on, "vector").keys()
     assert "diffraction" in _names(replace(bench, physics=Physics(True, True, False)))
     with pytest.raises(BenchsimError, match="bench or vector"):
-        effects.candidates(bench, "paper")
+        candidates(bench, "paper")
 
 
 def test_tilts_and_wobble_follow_the_gating(bench):
@@ -89,6 +95,38 @@ def test_what_cannot_be_observed_is_no_candidate(bench):
     unknown = replace(bench, cameras={k: replace(c, gamma="unknown") for k, c in bench.cameras.items()})
     assert not {"vibration", "saturation"} & _names(unknown).keys()
     assert all(p.name != "freq" for p in _names(bench)["vibration"].parameters)
+
+
+def test_every_effect_is_a_candidate_or_comes_with_a_reason_why_not(bench):
+    """Whatever the recording, nothing of the catalogue is passed over in silence."""
+    at_once = replace(bench, exposures=tuple(replace(e, time=0.0, facet=None) for e in bench.exposures))
+    blind = replace(bench, cameras={k: replace(c, gamma="unknown") for k, c in bench.cameras.items()})
+    ungated = replace(blind, exposures=at_once.exposures)
+    round_ = replace(bench, mirror=replace(bench.mirror, shape="cylinder"), physics=Physics(False, True, True))
+    single = replace(bench, physics=Physics(False, False, False))
+    for recording in (bench, at_once, blind, ungated, round_, single):
+        for against in ("bench", "vector"):
+            judged, rest = _names(recording, against), not_judged(recording, against)
+            assert sorted([*judged, *rest]) == sorted(NAMES) and all(rest.values())
+    assert not_judged(at_once)["drift"] == "all exposures are of one time"
+    assert not_judged(bench)["diffraction"] == "already in the simulation" and not not_judged(bench, "vector")
+    assert {n for n, why in not_judged(ungated, "vector").items() if "gamma" in why} == {
+        "vibration", "saturation", "facet-tilts", "axis-wobble"
+    }  # fmt: skip
+    assert not_judged(round_, "vector")["facets"] == "the mirror is a cylinder"
+    assert not_judged(single)["axis-wobble"] == "the simulation has no facets"
+
+
+def test_entries_say_where_a_closed_form_stands_in_for_an_optics_library():
+    """What `render` does not trace: motions and rows as shifts, polynomials of direction and lens, a thin deflector,
+    waves, charge, and shares of physics that is there or not."""
+    drawn = {e.name: e.drawn for e in effects.CATALOGUE if e.drawn}
+    assert drawn.keys() == {
+        "facets", "finite-beam", "diffraction", "astigmatism", "coma", "plume", "radial-distortion",
+        "tangential-distortion", "rolling-shutter", "saturation", "drift", "vibration",
+    }  # fmt: skip
+    for sentence in drawn.values():
+        assert sentence.startswith("Drawn ") and sentence.endswith(".") and sentence.count(".") == 1
 
 
 def test_prior_is_half_the_cap_and_shapes_cover_the_light(bench):

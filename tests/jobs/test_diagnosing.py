@@ -18,7 +18,19 @@ from benchsim import jobs
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, write
 from benchsim.cli import app
-from benchsim.diagnosis.result import Diagnosis, Found, Limit, Location, Residuals, Size, Stretch
+from benchsim.diagnosis.result import (
+    Class,
+    Diagnosis,
+    Found,
+    HeldOut,
+    Law,
+    Limit,
+    Location,
+    Residuals,
+    Size,
+    SplitBy,
+    Stretch,
+)
 from benchsim.jobs import diagnosing, effecting
 from benchsim.jobs.workers import Workers
 
@@ -126,6 +138,66 @@ def test_against_vector_writes_its_physics(recording, tmp_path, quick):
     assert not (tmp_path / "other").exists()
 
 
+def test_facets_that_were_found_come_with_millimetres(recording, tmp_path, quick, monkeypatch):
+    def faceted(problem, progress=None):
+        found = Found("facets", "mirror", 0.999, "named", {"facets": Size(0.98, 0.01, "1")}, "It is cut.", "State it.")
+        return replace(bowed(problem), effects=(found,), values={"facets": 0.98})
+
+    monkeypatch.setattr(diagnosing.diagnosis, "diagnose", faceted)
+    result = jobs.diagnose(recording, tmp_path / "out", against="vector", pictures=False)
+    written = json.loads((tmp_path / "out" / "diagnosis.json").read_text())["effects"][0]["parameters"]
+    size = written["size_mm"]
+    assert size["unit"] == "mm" and 0.001 < size["value"] < 5
+    assert size["sigma"] == pytest.approx(size["value"] * 0.01 / 0.98)
+    assert "facets = 0.980 ± 0.010, size_mm = " in (tmp_path / "out" / "summary.txt").read_text()
+    assert read(tmp_path / "out" / "amended.toml").effects == {"facets": {"facets": 0.98}}
+    edit(recording, "[[exposure]]", f"[effects.facets]\nfacets = 0.98\nsize_mm = {size['value']}\n\n[[exposure]]")
+    assert jobs.diagnose(recording, tmp_path / "again", pictures=False).recording.effects["facets"]["size_mm"] > 0
+    assert result.diagnosis.effects[0].parameters["size_mm"].unit == "mm"
+
+
+def test_effects_that_the_recording_cannot_show_are_said_with_the_reason(recording, tmp_path, quick):
+    edit(recording, "gamma = 1.0", 'gamma = "unknown"')
+    result = jobs.diagnose(recording, tmp_path / "out", pictures=False)
+    words = " ".join(result.text().split())
+    assert "Not judged here: facets, finite-beam and diffraction (already in the simulation), " in words
+    assert "saturation and vibration (no camera's gamma is known)" in words
+    assert "drift (all exposures are of one time)" in words
+    written = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert [r for r in written["remarks"] if r.startswith("Not judged here: ")]
+
+
+def keys(plain, named=frozenset({"parameters", "limits", "probability", "pulls", "rms", "terms", "by_kind"})):
+    """Every key of a JSON value that the format fixes; what stands under those of ``named`` are names of things."""
+    found = set()
+    for key, value in plain.items() if isinstance(plain, dict) else ():
+        of_things = key in named and isinstance(value, dict)
+        found |= {key}.union(*map(keys, value.values() if of_things else (value,)))
+    for value in plain if isinstance(plain, list) else ():
+        found |= keys(value)
+    return found
+
+
+def test_the_page_of_the_method_lists_every_key(recording, tmp_path, quick):
+    """Every key of a diagnosis.json that holds all there can be stands in the table of diagnosis/README.md."""
+    page = (Path(diagnosing.__file__).parents[1] / "diagnosis" / "README.md").read_text()
+    table = [row for row in page.split("## What `diagnosis.json` holds")[1].splitlines() if row.startswith("|")]
+    result = jobs.diagnose(recording, tmp_path / "out", pictures=False)
+    split = SplitBy("recording", "Roll the screen.", 9.0)
+    knots = np.zeros((1, 1))
+    full = replace(
+        result.diagnosis,
+        classes=(Class((("canting",), ()), 0.99, split),),
+        law=Law("screen.height", "z", {"z": 1.0}, 0.9, 0.1, knots, np.zeros(1, int), np.zeros(1)),
+        held_out=HeldOut(3, 816, 5120.0, 60.0, 41.0),
+        next=(split,),
+    )
+    written = json.loads(json.dumps(replace(result, diagnosis=full).as_dict()))
+    assert written["law"] and written["classes"] and written["next"] and written["fit"]["held_out"]
+    missing = {key for key in keys(written) if f"`{key}`" not in "\n".join(table)}
+    assert not missing
+
+
 def test_equal_settings_are_said(recording, tmp_path, quick):
     doubled(recording, "another name")
     text = jobs.diagnose(recording, tmp_path / "out", pictures=False).text()
@@ -196,7 +268,7 @@ def test_the_catalogue_fits_a_terminal_and_names_every_effect():
     assert len(plain["effects"]) == len(effecting.bench_effects.CATALOGUE)
     words = " ".join(done.stdout.split())
     for effect in plain["effects"]:
-        assert effect["name"] in words and effect["says"] in words
+        assert effect["name"] in words and effect["says"] in words and effect["drawn"] in words
         for parameter, own in effect["parameters"].items():
             assert f"{parameter} " in words and own["cap"] > 0
 

@@ -122,7 +122,7 @@ def made():
         verdict="named",
         effects=(bow,),
         classes=(),
-        location=Location("screen", "board y, z", True, 14.2, stretches),
+        location=Location("screen", "board y, z", True, 14.2, stretches, {"c": 11.3, "m": 21.4, "w": 0.4}),
         law=None,
         rms={"c": (0.131, 0.031), "w": (0.02, 0.02), "m": (0.05, 0.05)},
         held_out=HeldOut(3, 816, 5120.0, 60.0, 41.0),

@@ -14,7 +14,8 @@ from benchsim.bench.fields import FORMS, Field, evaluate, field
 from benchsim.bench.model import Recording
 from benchsim.bench.writing import write
 from benchsim.diagnosis.result import Diagnosis, Law, chosen
-from benchsim.instruments.bench.effects import PHYSICS_OF, Term, simulated, terms
+from benchsim.instruments.bench.candidates import simulated
+from benchsim.instruments.bench.effects import PHYSICS_OF, SIZE, Term, terms
 
 Array = NDArray[np.float64]
 
@@ -53,10 +54,15 @@ def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recor
 
 
 def combined(name: str, old: Mapping[str, float], found: Mapping[str, float], facets: int) -> dict[str, float]:
-    """An effect's parameters with what was found on top of what the file had, held to what is physical."""
+    """An effect's parameters with what was found on top of what the file had, held to what is physical.
+
+    A switch's size on the trace is left out: it follows from the share, and a file's was of the share that it had.
+    """
     known: dict[str, Term] = {t.name: t for t in terms(name, facets)}
-    out = dict(old)
+    out = {key: value for key, value in old.items() if key != SIZE.name}
     for key, value in found.items():
+        if key == SIZE.name:
+            continue
         term = known[key]
         if term.grid or key not in old:
             out[key] = value

@@ -12,14 +12,10 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.model import Physics, Recording
-from benchsim.bench.place import place
-from benchsim.diagnosis.problem import Effect, Parameter
+from benchsim.bench.model import Recording
 
 ELEMENTS = ("source", "mirror", "air", "screen", "camera", "time")
 """In the order of the light; time is what changes on the way through a recording."""
@@ -72,6 +68,11 @@ class Entry:
         Where the form comes from.
     synonyms : tuple of str
         Other mechanisms that no recording of this bench tells from it.
+    drawn : str
+        How `render` draws it, one sentence, where no optics library draws it honestly and a closed form stands in;
+        empty where light is traced through what it physically is.
+    needs : tuple of str
+        What a recording must have, or a diagnosis does not judge it there: keys of `candidates.NEEDS`.
     """
 
     name: str
@@ -81,9 +82,14 @@ class Entry:
     remedy: str
     source: str
     synonyms: tuple[str, ...] = ()
+    drawn: str = ""
+    needs: tuple[str, ...] = ()
 
 
 _GEOMETRY = "plane geometry of the bench"
+_MIXED = "Drawn as what it is; a share between 0 and 1 as that mixture of the light without it and with it."
+_DIRECTIONS = "Drawn as rays whose directions over the beam's section follow this form itself; no lens is traced."
+_BROWN = "Drawn by Brown's polynomial itself; no lens is traced."
 
 CATALOGUE: tuple[Entry, ...] = (
     Entry(
@@ -93,6 +99,8 @@ CATALOGUE: tuple[Entry, ...] = (
         "The mirror is a polygon of flat facets, not a cylinder of the same radius.",
         "Set physics.facets = true.",
         "Carretero 2019, the rotating polygonal mirror; its Eqs (9)-(12) take a cylinder",
+        drawn=_MIXED,
+        needs=("polygon",),
     ),
     Entry(
         "pivot-offset",
@@ -118,6 +126,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "The facets' normals lean toward the axis by different angles, so that each draws a trace of its own.",
         "Gate the exposures to single facets and correct each, or replace the polygon.",
         "facet-to-facet pyramidal error of polygons (Marshall & Stutz, Handbook of Optical and Laser Scanning)",
+        needs=("polygon", "facets", "gate or gamma"),
     ),
     Entry(
         "axis-wobble",
@@ -126,6 +135,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "The mirror sits askew on its shaft: the facets' lean goes through one period in a revolution.",
         "Remount the mirror square to the shaft, or replace the bearing.",
         "first harmonic of the facets' tilts (Marshall & Stutz)",
+        needs=("polygon", "facets", "gate or gamma"),
     ),
     Entry(
         "axis-tilt",
@@ -192,6 +202,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "The beam's curvature differs between two sections, as behind a tilted lens.",
         "Square the expander's lenses to the beam.",
         "curvature matrix of the wavefront (Siegman 1986, ch. 15)",
+        drawn=_DIRECTIONS,
     ),
     Entry(
         "coma",
@@ -200,6 +211,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "The expander is decentred: directions over the beam follow the gradient of Zernike's coma.",
         "Centre the expander's lenses on each other.",
         "gradient of r³ cos φ (Born & Wolf, ch. 9)",
+        drawn=_DIRECTIONS,
     ),
     Entry(
         "finite-beam",
@@ -208,6 +220,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "The light is a beam of finite diameter, not a single ray.",
         "Set physics.beam = true.",
         "Gaussian beam",
+        drawn=_MIXED,
     ),
     Entry(
         "diffraction",
@@ -216,6 +229,8 @@ CATALOGUE: tuple[Entry, ...] = (
         "The mirror's height diffracts the light, whose Fresnel number is near one.",
         "Set physics.diffraction = true.",
         "Fresnel diffraction at a slit (Born & Wolf, ch. 8)",
+        drawn="Drawn as rays whose places follow the Fresnel integral's intensity, since a tracer of rays knows no "
+        "waves; a share between 0 and 1 as that mixture of the light without it and with it.",
     ),
     Entry(
         "window",
@@ -253,6 +268,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "Warm air rises through the path at one place and turns the light that crosses it.",
         "Look for a source of heat below the path, and remove it.",
         "thin Gaussian deflector half way",
+        drawn="Drawn as the thin deflector itself, which turns rays at one plane; no volume of warm air is traced.",
     ),
     Entry(
         "screen-distance",
@@ -318,6 +334,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "The lens' radial distortion differs from the stated one.",
         "Calibrate the camera again (`benchsim calibrate`).",
         "Brown 1971, Photogrammetric Engineering 37, 855, in OpenCV's form",
+        drawn=_BROWN,
     ),
     Entry(
         "tangential-distortion",
@@ -326,6 +343,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "The lens is decentred beyond what is stated.",
         "Calibrate the camera again (`benchsim calibrate`).",
         "Brown 1966, Photogrammetric Engineering 32, 444, in OpenCV's form",
+        drawn=_BROWN,
     ),
     Entry(
         "rolling-shutter",
@@ -338,6 +356,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "The camera shakes while its rows are read out one after the other.",
         "Fix the camera, or use a global shutter.",
         "rows read out in order, harmonic motion",
+        drawn="Drawn as rows of the picture that are each displaced by this harmonic itself; the camera is not moved.",
     ),
     Entry(
         "saturation",
@@ -346,6 +365,9 @@ CATALOGUE: tuple[Entry, ...] = (
         "Charge spills along the columns where the trace is bright.",
         "Expose shorter.",
         "blooming, to second order in the brightness (Janesick 2001, Scientific CCDs)",
+        drawn="Drawn as charge that each pixel passes on along its column by the square of its brightness; no sensor "
+        "is simulated.",
+        needs=("gamma",),
     ),
     Entry(
         "drift",
@@ -354,6 +376,8 @@ CATALOGUE: tuple[Entry, ...] = (
         "The light on the screen wanders in proportion to the time since the first exposure.",
         "Let laser and bench warm up, and repeat one setting at the end.",
         "linear in time",
+        drawn="Drawn as a shift of the light on the screen itself; nothing on the bench is moved.",
+        needs=("times",),
     ),
     Entry(
         "vibration",
@@ -366,6 +390,8 @@ CATALOGUE: tuple[Entry, ...] = (
         "Decouple the bench from the motor and the floor.",
         "isotropic random displacement, averaged over the exposure",
         ("vibration of the laser", "of the axis", "of the mirror", "of the screen"),
+        "Drawn as rays that each land displaced by a random draw of a round Gaussian; nothing on the bench is shaken.",
+        needs=("gamma",),
     ),
 )
 """Every effect, in the order of the documentation."""
@@ -375,8 +401,8 @@ BY_NAME = {entry.name: entry for entry in CATALOGUE}
 PHYSICS_OF = {"facets": "facets", "finite-beam": "beam", "diffraction": "diffraction"}
 """Effects that are switches of ``[physics]``: candidates only where it has them false."""
 
-WIDTH_ONLY = ("vibration",)
-"""Effects that only widen the trace: invisible where the camera's gamma is not known."""
+SIZE = Term("size_mm", "mm", 10.0, one_sided=True, observable=False)
+"""Beside the share of a switch: the rms by which it moves the trace, as a diagnosis says it; see `sizes`."""
 
 _TILT = re.compile(r"tilt_(\d+)$")
 
@@ -388,6 +414,8 @@ def terms(name: str, facets: int) -> tuple[Term, ...]:
         return (*entry.terms, *(Term(f"tilt_{k}", "mrad", 3.0) for k in range(facets)))
     if name == "window-tilt":
         return (*entry.terms, Term("win", "mm", 10.0, one_sided=True))
+    if name in PHYSICS_OF:
+        return (*entry.terms, SIZE)
     return entry.terms
 
 
@@ -425,7 +453,7 @@ def check(recording: Recording) -> None:
                 )
             if known[key].one_sided and value < 0:
                 raise BenchsimError(f"{file}: effects.{name}.{key}: {value:g} is below 0; give 0 or more")
-            if name in PHYSICS_OF and value > 1:
+            if name in PHYSICS_OF and key != SIZE.name and value > 1:
                 raise BenchsimError(f"{file}: effects.{name}.{key}: {value:g} is above 1; give a share from 0 to 1")
             if known[key].grid and known[key].one_sided and value == 0:
                 raise BenchsimError(f"{file}: effects.{name}.{key}: 0 is no width or period; give more than 0")
@@ -434,116 +462,3 @@ def check(recording: Recording) -> None:
 def _nearest(name: str, of: Sequence[str]) -> str:
     close = difflib.get_close_matches(name, of, n=1, cutoff=0.5)
     return f" (the nearest name is {close[0]})" if close else ""
-
-
-def simulated(recording: Recording, against: str = "bench") -> Physics:
-    """The ``[physics]`` of the simulation in doubt: the file's ("bench"), or all false ("vector").
-
-    Raises
-    ------
-    BenchsimError
-        If ``against`` is neither.
-    """
-    if against == "bench":
-        return recording.physics
-    if against == "vector":
-        return Physics(facets=False, beam=False, diffraction=False)
-    raise BenchsimError(f"--against {against}: no such simulation; give bench or vector")
-
-
-def candidates(recording: Recording, against: str = "bench") -> tuple[Effect, ...]:
-    """What a recording could show to be missing from the simulation in doubt.
-
-    Parameters
-    ----------
-    recording : Recording
-    against : {"bench", "vector"}
-
-    Returns
-    -------
-    tuple of diagnosis.Effect
-        In the catalogue's order, parameters in the file's units under the file's names.
-
-    Notes
-    -----
-    Without gated exposures the facets' tilts and the wobble only widen the trace, by the square of one number; with
-    them each gated facet's tilt is a draw of one population. Drift needs two times, blooming and widths a known gamma.
-    """
-    physics = simulated(recording, against)
-    gated = sorted({e.facet for e in recording.exposures if e.facet is not None})
-    linear = any(recording.cameras[e.camera].gamma != "unknown" for e in recording.exposures)
-    polygon = recording.mirror.shape == "polygon" and (physics.facets or against == "vector")
-    several_times = len({e.time for e in recording.exposures}) > 1
-    out: list[Effect] = []
-    for entry in CATALOGUE:
-        name = entry.name
-        if name in PHYSICS_OF and getattr(physics, PHYSICS_OF[name]):
-            continue
-        if name == "facets" and recording.mirror.shape != "polygon":
-            continue
-        if name == "drift" and not several_times:
-            continue
-        if name in ("saturation", *WIDTH_ONLY) and not linear:
-            continue
-        own = tuple(t for t in entry.terms if t.observable)
-        random = False
-        if name == "facet-tilts":
-            if not polygon or (not gated and not linear):
-                continue
-            if gated:
-                own, random = tuple(Term(f"tilt_{k}", "mrad", 3.0) for k in gated), True
-        if name == "axis-wobble":
-            if not polygon or (not gated and not linear):
-                continue
-            if not gated:
-                own = (Term("wob_c", "mrad", 2.0, one_sided=True, power=2),)
-        if name == "plume":
-            own = _plume_terms(recording, own)
-        if name == "rolling-shutter":
-            own = _shutter_terms(recording, own)
-        parameters = tuple(
-            Parameter(t.name, t.unit, t.cap / 2, one_sided=t.one_sided, power=t.power, grid=t.grid) for t in own
-        )
-        whole = name in PHYSICS_OF
-        out.append(Effect(name, entry.element, parameters, entry.says, entry.remedy, random, whole))
-    return tuple(out)
-
-
-def _plume_terms(recording: Recording, own: tuple[Term, ...]) -> tuple[Term, ...]:
-    """Places and widths of a plume on the way of this recording's light.
-
-    Light crosses the plane half way midway between the mirror and the point of the board that it goes to. Nodes stand
-    some 80 mm apart, so that one lies within a plume's width of wherever it is.
-    """
-    from benchsim import rays
-
-    bare = replace(recording, effects={}, fields={})
-    crossings = []
-    for exposure in recording.exposures:
-        at = place(recording.mirror, exposure)
-        try:
-            board = rays.predict(bare, exposure, samples=12, width=False).points
-        except BenchsimError:
-            continue
-        crossings.append(0.5 * (at.centre + at.screen_origin + board @ at.screen_rotation[:, 1:].T)[:, 1:])
-    if not crossings:
-        return own
-    low, high = np.percentile(np.concatenate(crossings), [0, 100], axis=0)
-
-    def spread(axis: int, most: int) -> tuple[float, ...]:
-        count = int(np.clip(np.ceil((high[axis] - low[axis]) / 80.0), 2, most))
-        middle = (np.arange(count) + 0.5) / count
-        return tuple(float(x) for x in (low[axis] + middle * (high[axis] - low[axis])).round(1))
-
-    grids = {"plume_y": spread(0, 4), "plume_z": spread(1, 5), "plume_width": (40.0, 90.0)}
-    return tuple(
-        t if t.name not in grids else Term(t.name, t.unit, t.cap, one_sided=t.one_sided, grid=grids[t.name])
-        for t in own
-    )
-
-
-def _shutter_terms(recording: Recording, own: tuple[Term, ...]) -> tuple[Term, ...]:
-    """Periods from a quarter to two cycles over the tallest picture, a quarter apart: what its rows can resolve."""
-    rows = max(recording.cameras[e.camera].resolution[1] for e in recording.exposures)
-    grid = tuple(float(round(rows / f)) for f in (0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0))
-    return tuple(Term(t.name, t.unit, 2 * max(grid), one_sided=True, grid=grid) if t.grid else t for t in own)

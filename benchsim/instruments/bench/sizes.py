@@ -1,0 +1,53 @@
+"""Millimetres on the trace beside the share of an effect that is there as a whole or not.
+
+A share of facets, beam or diffraction says that they are there; how much they matter is what they move. Diffraction
+changes the trace's width and leaves its centre line where it is: its size is 0, however surely it is there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchsim.diagnosis.linear import predict_all
+from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.result import Diagnosis, Found, Size
+from benchsim.instruments.bench.effects import BY_NAME, PHYSICS_OF, SIZE
+from benchsim.instruments.bench.prediction import FAR
+
+NOTHING = 1e-6
+"""Of the mean shift [mm]: a nanometre is what the ray model's own iterations leave."""
+
+
+def sized(problem: Problem, d: Diagnosis) -> Diagnosis:
+    """The diagnosis with ``size_mm`` among the parameters of every switch of the physics that was found.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the bench, by whose prediction ``d`` was made.
+    d : Diagnosis
+
+    Returns
+    -------
+    Diagnosis
+        ``size_mm`` is the rms, over the centre line's data, of what the effect changes in their prediction, all else as
+        fitted; its sigma is in proportion to that of the share.
+    """
+    return replace(d, effects=tuple(_sized(problem, d, f) for f in d.effects))
+
+
+def _sized(problem: Problem, d: Diagnosis, f: Found) -> Found:
+    if f.name not in PHYSICS_OF:
+        return f
+    name = BY_NAME[f.name].terms[0].name
+    share = f.parameters[name]
+    # Of a share of 0 the proportion is that of the whole effect.
+    at = share.value or 1.0
+    there, without = (predict_all(problem, {**d.values, name: amount}) for amount in (at, 0.0))
+    lit = (problem.kind == "c") & (there != FAR) & (without != FAR)
+    rms = float(np.sqrt(np.mean((there - without)[lit] ** 2))) if lit.any() else float("nan")
+    rms = 0.0 if rms < NOTHING else rms
+    size = Size(rms * abs(share.value / at), rms * abs(share.sigma / at), SIZE.unit)
+    return replace(f, parameters={**f.parameters, SIZE.name: size})

@@ -1,0 +1,288 @@
+"""The study of the diagnosis counts what the bars ask for.
+
+Scenario: a referee reads the study's table. Cases that ended without a verdict, places claimed beside a wrong name,
+classes without a class verdict and tiers thrown together would each make it better than the diagnosis is.
+"""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ANALYSIS = Path(__file__).resolve().parents[2] / "analysis"
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """Load a script of analysis/ by name, with its folder on the path as when it is run."""
+    monkeypatch.syspath_prepend(str(ANALYSIS))
+
+    def load(name):
+        spec = importlib.util.spec_from_file_location(name, ANALYSIS / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, name, module)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
+
+
+@pytest.fixture
+def score(script):
+    return script("study_score")
+
+
+def case(row="single", number=0, tier="traces", truth=("canting",), snr=30.0, rival=9.0, stranger="", **said):
+    """A line of the study; nothing is said unless told otherwise."""
+    return {
+        "tier": tier,
+        "row": row,
+        "seed": 1,
+        "case": number,
+        "code": "0123456789ab",
+        "truth": {"effects": {name: {"pyr": 1.0} for name in truth}, "stranger": stranger},
+        "truth_element": "mirror",
+        "snr": {name: snr for name in (*truth, *([stranger] if stranger else []))},
+        "rival": ["coma", rival],
+        "verdict": "nothing-missing",
+        "named": [],
+        "classes": [],
+        "location": None,
+        "law": None,
+        "held_out": None,
+        "probability": {},
+        "parameter_pulls": [],
+        **said,
+    }
+
+
+def named(*names, **more):
+    return case(verdict="named", named=list(names), **more)
+
+
+def ended(known=True, **more):
+    """A case that a complaint ended, with or without what was concealed in it known by then."""
+    whole = case(**more)
+    keys = {"tier", "row", "seed", "case", "code"} | ({"truth", "truth_element", "snr", "rival"} if known else set())
+    return {k: v for k, v in whole.items() if k in keys} | {"error": "ValueError: no"}
+
+
+def place(element, **more):
+    return {"location": {"element": element, "claimed": True, "margin": 9.0}, "verdict": "located", **more}
+
+
+def line(text, beginning):
+    """(k, n) of the one line that begins so, and the line."""
+    found = [t for t in text.splitlines() if t.startswith(beginning)]
+    assert len(found) == 1, found
+    counts = re.search(r"(\d+)/(\d+) ", found[0])
+    return (int(counts[1]), int(counts[2])), found[0]
+
+
+NAMED = "single effect, six settings: SNR ≥ 8, rival ≥ 5 σ: exactly named"
+
+
+def test_a_case_without_a_verdict_misses_what_has_to_be_found(score):
+    """Expectation: 19 named of 20 would meet 95 %; with one more case that ended they are 19 of 21."""
+    cases = [named("canting", number=k) for k in range(19)] + [case(number=19)]
+    assert line(score.table(cases), NAMED)[0] == (19, 20)
+    counts, text = line(score.table([*cases, ended(number=20)]), NAMED)
+    assert counts == (19, 21)
+    assert "open" in text
+    assert "1 without a verdict missed" in text
+
+
+def test_a_case_that_ended_before_its_snr_was_known_is_counted_aside(score):
+    cases = [named("canting"), ended(known=False, number=1), ended(row="clean", truth=(), number=2)]
+    text = score.table(cases)
+    assert line(text, NAMED)[0] == (1, 1)
+    assert "without a verdict: single 1 of 2, 1 of unknown SNR and in no line by SNR; clean 1 of 1" in text
+
+
+def test_a_clean_case_without_a_verdict_is_no_clean_bill(score):
+    """Expectation: it is not 'nothing-missing'; nothing was named in it either, which is said beside."""
+    text = score.table([case(row="clean", truth=()), ended(row="clean", truth=(), number=1)])
+    assert line(text, "clean: 'nothing-missing'")[0] == (1, 2)
+    counts, named_line = line(text, "clean: anything named")
+    assert counts == (0, 1)
+    assert "1 without a verdict left out" in named_line
+
+
+def test_a_place_beside_a_wrong_name_is_no_merit(score):
+    """Expectation: of three places, one right, one wrong, one right but with a name: 1 of 2 right, 2 of 3 claimed."""
+    cases = [
+        case(row="removed", number=0, **place("mirror")),
+        case(row="removed", number=1, **place("screen")),
+        case(row="removed", number=2, **place("mirror", named=["coma"])),
+    ]
+    text = score.table(cases)
+    assert line(text, "location, when claimed: right")[0] == (1, 2)
+    assert line(text, "location, SNR above 20: claimed")[0] == (2, 3)
+    open_too = [case(row="removed", **place("mirror", classes=[[["coma"], ["window"]]]))]
+    assert line(score.table(open_too), "location, SNR above 20: claimed")[0] == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "classes", "between", "below"),
+    [
+        ("class", [[["canting"], ["coma"]]], 1, 1),
+        ("class", [[["window"], ["coma"]]], 0, 0),
+        ("unexplained", [[["canting"], ["coma"]]], 0, 0),
+        ("located", [[["canting"], ["coma"]]], 0, 0),
+    ],
+)
+def test_a_class_counts_by_its_verdict_only(score, verdict, classes, between, below):
+    title = "single effect, six settings: rival"
+    said = {"verdict": verdict, "classes": classes}
+    assert line(score.table([case(rival=4.0, **said)]), f"{title} at 3-5 σ: named or")[0] == (between, 1)
+    assert line(score.table([case(rival=1.0, **said)]), f"{title} below 3 σ: a class")[0] == (below, 1)
+
+
+def test_a_lone_name_is_right_at_three_sigma_and_wrong_below(score):
+    title = "single effect, six settings: rival"
+    assert line(score.table([named("canting", rival=4.0)]), f"{title} at 3-5 σ: named or")[0] == (1, 1)
+    below = score.table([named("canting", rival=1.0)])
+    assert line(below, f"{title} below 3 σ: a class")[0] == (0, 1)
+    assert line(below, f"{title} below 3 σ: a lone name")[0] == (1, 1)
+
+
+def test_close_rivals_are_counted_at_every_snr(score):
+    cases = [case(rival=1.0, snr=snr, verdict="class", classes=[[["canting"], ["coma"]]]) for snr in (4.0, 20.0)]
+    text = score.table(cases).splitlines()
+    at = next(k for k, t in enumerate(text) if t.startswith("single effect, six settings: rival below 3 σ: a class"))
+    assert "2/2 " in text[at]
+    assert text[at + 1].startswith("    of these with SNR ≥ 8")
+    assert "1/1 " in text[at + 1]
+
+
+def test_outside_the_catalogue_a_class_is_wrong_too(score):
+    """Expectation: of a name, a class and silence, one is a wrong name and two are a name or a class."""
+    cases = [
+        named("coma", row="removed", number=0),
+        case(row="stranger", truth=(), stranger="dent", number=1, verdict="class", classes=[[["coma"], ["window"]]]),
+        case(row="removed", number=2, verdict="unexplained"),
+    ]
+    text = score.table(cases)
+    assert line(text, "not in the catalogue, SNR ≥ 20: a wrong name  ")[0] == (1, 3)
+    assert line(text, "not in the catalogue, SNR ≥ 20: a wrong name or a wrong class")[0] == (2, 3)
+
+
+def test_effects_below_reach_must_have_their_limit_stated(score):
+    """Expectation: only effects that no allowed size makes visible count; silence without a limit is a miss."""
+    small = {"reach": {"canting": 5.0}, "snr": 4.0, "verdict": "unexplained"}
+    cases = [
+        case(number=0, **small, limit_stated={"canting": True}),
+        case(number=1, **small, limit_stated={"canting": False}),
+        named("coma", number=2, reach={"canting": 5.0}, limit_stated={"canting": True}),
+        named("coma", number=3, reach={"canting": 50.0}, limit_stated={"canting": True}),
+        case(number=4),
+    ]
+    text = score.table(cases)
+    assert line(text, "an effect below SNR 8 even at its cap: a wrong name")[0] == (1, 3)
+    assert line(text, "an effect below SNR 8 even at its cap: limit stated")[0] == (2, 3)
+
+
+@pytest.mark.parametrize(("wide", "state"), [(1.0, "met"), (2.0, "missed"), (0.5, "missed")])
+def test_the_spread_of_sizes_is_held_against_its_bar(score, wide, state):
+    """Expectation: 400 alternating pulls of one size have just that standard deviation about zero."""
+    text = score.sizes([wide, -wide] * 200)
+    assert f"{wide:.3f}" in text[0]
+    assert state in text[0]
+
+
+def test_few_sizes_decide_nothing(score):
+    assert "open" in score.sizes([1.3, -1.3, 1.3])[0]
+
+
+def test_the_share_removed_is_pooled_over_cases(score):
+    """Expectation: 1 − 60/1000 = 0.94 misses 0.95 by the point; alike cases leave no doubt, unlike ones do."""
+    alike = [{"data": 100, "before": 500.0, "after": 30.0}] * 2
+    assert "0.940" in score.removed("named", alike, 0.95)[0]
+    assert "missed" in score.removed("named", alike, 0.95)[0]
+    unlike = [{"data": 100, "before": 500.0, "after": after} for after in (0.0, 60.0)]
+    assert "open" in score.removed("named", unlike, 0.95)[0]
+
+
+def test_a_fresh_recording_that_failed_is_a_miss(score):
+    cases = [named("canting", fresh="nothing-missing"), named("canting", fresh_error="ValueError: no"), named("coma")]
+    assert line(score.table(cases), "amended.toml on a fresh recording")[0] == (1, 2)
+
+
+def test_pairs_and_every_class_are_in_the_confusion(score):
+    classes = [[["coma"], ["window"]], [["screen-bow"], ["grid-scale"]]]
+    text = score.confusion(
+        [
+            case(row="pair", truth=("canting", "coma"), verdict="class", classes=classes),
+            named("coma", row="removed"),
+            case(row="clean", truth=()),
+            ended(number=1),
+        ]
+    )
+    assert "canting + coma" in text
+    assert "{coma | window} + {screen-bow | grid-scale} 1" in text
+    groups = [t for t in text.splitlines() if t.endswith(":")]
+    assert groups == ["concealed, in the catalogue:", "concealed, not in the catalogue:", "nothing concealed:"]
+    assert "no verdict 1" in text
+
+
+def test_each_tier_has_its_own_table(script, capsys):
+    """Expectation: a name found in traces does not count for photographs; lines of old files print, too."""
+    cases = [named("canting"), case(tier="photographs"), ended(known=False, number=2)]
+    script("diagnosis_study").tell(cases, "one more table")
+    out = capsys.readouterr().out
+    traces, photographs = out.split("== photographs: 1 cases ==")
+    assert "== traces: 2 cases ==" in traces
+    assert line(traces, NAMED)[0] == (1, 1)
+    assert line(photographs, NAMED)[0] == (0, 1)
+    assert out.count("P(present) stated") == 2
+    assert "one more table" in out
+    assert "3 cases, 1 without a verdict; judged by code 0123456789ab" in out
+
+
+def test_what_was_known_before_an_error_stays_in_the_line(script, monkeypatch):
+    study = script("diagnosis_study")
+
+    def ends(row, seed, number, fresh):
+        yield {"snr": {"canting": 9.0}}
+        raise ValueError("no")
+
+    monkeypatch.setattr(study, "traces_case", ends)
+    made = study.one("single", 1, 0, tier="traces", shrink=1, fresh=0)
+    assert made["snr"] == {"canting": 9.0}
+    assert made["error"] == "ValueError: no"
+    assert "verdict" not in made
+
+
+def test_photographs_have_no_row_of_understated_noise(script, monkeypatch, tmp_path, capsys):
+    """Expectation: one sentence in place of cases that would be clean ones under another name."""
+    study = script("diagnosis_study")
+    asked = ["run", "photographs", "--rows", "clean-noise", "--seed", "1", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", ["diagnosis_study.py", *asked])
+    with pytest.raises(SystemExit):
+        study.main()
+    assert "states no noise that could be understated" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_campaign_counts_draws_that_ended_and_names_in_classes(script):
+    """Expectation: of four draws one is all right; a wrong size, a class and an error each spoil one."""
+    campaign = script("vector_campaign")
+    found = {name: {"size": [1.0, 0.1]} for name in campaign.LEFT_OUT}
+    good = {"seed": 0, "verdict": "named", "found": found, "classes": [], "limits": {}, "held_out": 1.0}
+    rows = [
+        good,
+        {**good, "seed": 1, "found": {**found, "facets": {"facets": [1.4, 0.1]}}},
+        {**good, "seed": 2, "verdict": "class", "classes": [[["coma"], ["window"]]]},
+        {"seed": 3, "error": "ValueError: no"},
+    ]
+    text = campaign.table(rows)
+    assert "4 draws, 1 ended by an error" in text
+    assert re.search(r"facets +found within 3 σ of 1, or limit stated: 2 of 4", text)
+    assert re.search(r"finite-beam +found within 3 σ of 1, or limit stated: 3 of 4", text)
+    assert "anything else named, or in a class: 1 of 3" in text
+    assert "all three right and nothing else named: 1 of 4" in text
+    limited = {**good, "found": {k: found[k] for k in ("facets", "finite-beam")}, "limits": {"diffraction": 0.2}}
+    assert campaign.right(limited, "diffraction")
+    assert not campaign.right({**limited, "limits": {"diffraction": float("inf")}}, "diffraction")
