@@ -113,6 +113,8 @@ def search(
                 break
         if tried == 1 and refit.misses(context, null):
             pick = starts.together(context) or pick
+        if tried == LONE and lost:
+            pick = _top_two(table, done) or pick
         source = done[table.source.get(pick, ())]
         if bent and looks < LOOKS and source is null and pick not in table.begin:
             looks += 1
@@ -137,6 +139,14 @@ def search(
     if not foretold:
         _challenge(context, catalogue, white, null, table, done)
     return table, done
+
+
+def _top_two(table: Table, done: Mapping[Effects, Solved]) -> Effects | None:
+    """The pair of those two effects that alone came nearest the data: about a null that is far off, one hides the other
+    and their pair may have been weighed as low as any."""
+    lone = sorted((e for e in done if len(e) == 1), key=lambda e: -done[e].fit.log_evidence)[:2]
+    both = {n for e in lone for n in e}
+    return next((e for e in table.log_z if len(both) == 2 and set(e) == both and e not in done), None)
 
 
 def _challenge(

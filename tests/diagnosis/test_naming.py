@@ -5,11 +5,13 @@ and how bad one would have to be to pass it in one run of twenty. The bars thems
 slow.
 """
 
+from types import SimpleNamespace
+
 import lines
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import linear, name
+from benchsim.diagnosis import linear, name, search
 from benchsim.diagnosis.problem import Problem
 
 AMPLITUDES = [p for e in lines.CATALOGUE for p in e.parameters if not p.grid]
@@ -160,3 +162,15 @@ def test_data_that_cannot_be_used_are_refused():
         name(Problem(**{**vars(problem), "data": data}))
     with pytest.raises(ValueError, match="block after block"):
         name(Problem(**{**vars(problem), "block": problem.block[::-1].copy()}))
+
+
+def test_where_nothing_fits_the_two_that_came_nearest_are_tried_together():
+    """About a null that is far off a pair may be weighed as low as any; what its members reach alone says more."""
+    done = {
+        e: SimpleNamespace(fit=SimpleNamespace(log_evidence=z))
+        for e, z in {(): 0.0, ("a",): 5.0, ("b",): 40.0, ("c",): 30.0, ("a", "d"): 90.0}.items()
+    }
+    table = search.Table({("a", "b"): 3.0, ("b", "c"): -50.0}, {})
+    assert search._top_two(table, done) == ("b", "c")
+    assert search._top_two(table, done | {("b", "c"): done[()]}) is None
+    assert search._top_two(table, {e: done[e] for e in [(), ("a",)]}) is None

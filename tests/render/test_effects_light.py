@@ -6,9 +6,10 @@ model's own measure, of the traced rays) and its flux per mm. So what is compare
 and brightens the trace, at two magnitudes: one small, one near the catalogue's cap, where its second order shows.
 
 Noise. The kernel's rays come in 16 independently shifted lattices; their scatter gives the standard error of each
-number, and Student's t with 15 degrees of freedom the threshold. The whole file compares some 900 numbers and rejects
-by chance once in a hundred runs (Bonferroni). To the noise are added 1 % of what the effect does to that observable,
-since the ray model takes means over curves of 96 points and facets' leans to first order, and 0.3 µm or 0.03 % of flux.
+number, and Student's t with 15 degrees of freedom the threshold. The whole file compares some 1100 numbers and rejects
+by chance once in a hundred runs (Bonferroni); its seeds are fixed. To the noise are added 1 % of what the effect does
+to that observable, since the ray model takes means over curves of 96 points and facets' leans to first order, and
+0.3 µm or 0.03 % of flux.
 
 Each comparison must also be able to fail: the effect, near its cap, is at least five times what would be tolerated.
 """
@@ -39,7 +40,7 @@ from benchsim.render.tracer import Tracer
 LATTICES, RAYS = 16, 1 << 15
 HALF, PARTS = 25.0, 3
 REACH = 15.0
-THRESHOLD = stats.t.ppf(1 - 0.5 * 0.01 / 900, LATTICES - 1)
+THRESHOLD = stats.t.ppf(1 - 0.5 * 0.01 / 1100, LATTICES - 1)
 SYSTEMATIC, FLOOR = 0.01, 3e-4
 
 
@@ -64,23 +65,31 @@ def light(r, seed=1):
     return out
 
 
-def measure(hits, curve):
-    """Mean, width and log flux less the curve's: (lattices, stretches, 3)."""
+def stretches(hits, curve):
+    """What the curve itself says of each stretch, its width, flux and parting, and of each lattice q and light."""
     along = curve.arc_length()
-    out = np.empty((len(hits), PARTS, 3))
+    parting = np.zeros(len(along)) if curve.parting is None else curve.parting
     for j in range(PARTS):
         m = len(along) * (j + 1) // (PARTS + 1)
         part = slice(max(0, m - 12), m + 13)
         s = np.linspace(along[m] - HALF, along[m] + HALF, 101)
-        width, flux = (np.interp(s, along, v).mean() for v in (curve.width, curve.flux))
-        for i, (p, w) in enumerate(hits):
+        of_hits = []
+        for p, w in hits:
             near = np.hypot(*(p - curve.points[m]).T) < HALF + REACH
             q, at = signed_distance(Curve(curve.points[part]), p[near])
             on = (np.abs(at - along[m] + along[part][0]) < HALF) & (np.abs(q) < REACH)
-            q, w_on = q[on], w[near][on]
-            mean = np.average(q, weights=w_on)
-            wide = adaptive(q[None], w_on[None], np.array([mean]))[1][0] if width else 0.0
-            out[i, j] = mean, wide - width, np.log(w_on.sum() / (2 * HALF) / flux)
+            of_hits.append((q[on], w[near][on]))
+        yield [np.interp(s, along, v).mean() for v in (curve.width, curve.flux, parting)], of_hits
+
+
+def measure(hits, curve):
+    """Mean, width and log flux less the curve's: (lattices, stretches, 3)."""
+    out = np.empty((len(hits), PARTS, 3))
+    for j, ((width, flux, _), of_hits) in enumerate(stretches(hits, curve)):
+        for i, (q, w) in enumerate(of_hits):
+            mean = np.average(q, weights=w)
+            wide = adaptive(q[None], w[None], np.array([mean]))[1][0] if width else 0.0
+            out[i, j] = mean, wide - width, np.log(w.sum() / (2 * HALF) / flux)
     return out
 
 
@@ -258,6 +267,77 @@ def test_second_surface(glass, monkeypatch):
     assert 0.03 < np.median(ghost.flux) / np.median(main.flux) < 0.12
 
 
+@pytest.mark.parametrize("glass", [2.5, 5.0])
+@pytest.mark.parametrize(
+    "share",
+    [
+        pytest.param(-1.0, id="coating"),
+        pytest.param(
+            2.0,
+            id="ghost",
+            marks=pytest.mark.xfail(
+                strict=True,
+                raises=AssertionError,
+                reason="render/sweep.py tabulates diffraction over the β of the coating's light alone (`over_height` "
+                "without ghost); the ghost's β lies beyond, is clamped, and moves it 0.03 mm at 2.5 mm, 0.09 at 5",
+            ),
+        ),
+    ],
+)
+def test_second_surface_with_diffraction(share, glass, monkeypatch):
+    """The front face stands where it does whatever the glass, and the beam is as far off its middle as it is there."""
+    r, _, base = without(diffraction=True)
+    changed = replace(r, effects={"second-surface": {"glass": glass}})
+    e = r.exposures[-1]
+    curve = trace(bench_of(changed, e)) if share < 0 else rays.ghost(changed, e)
+    monkeypatch.setattr(tracer, "GHOST", share)
+    d = measure(light(changed), curve) - base
+    d[..., 2] += np.log(2.0)  # both shares halve the rays' weights
+    error = d.std(axis=0, ddof=1) / np.sqrt(LATTICES)
+    assert (np.abs(d.mean(axis=0)) <= THRESHOLD * error + np.array([1e-3, 1e-3, 2e-3])).all(), d.mean(axis=0)
+
+
+TOO_WEAK = (
+    "rays/ghost.py `pulled` lets the pull fade as exp(-D²/4σ²), as the adaptive centre's does; a photograph's line is "
+    "placed by its centroid, which the ghost pulls by f D/(1 + f): the prediction is 6 µm of 49 too little at D = 0.9 σ"
+)
+
+
+@pytest.mark.parametrize(
+    ("scene", "number", "glass"),
+    [
+        ("fig7a", 0, 2.5),
+        ("fig7a", 0, 5.0),
+        ("campaign12", 3, 2.5),
+        pytest.param(
+            "campaign12", 3, 5.0, marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason=TOO_WEAK)
+        ),
+    ],
+)
+def test_the_ghost_pulls_the_line_as_the_ray_model_says(scene, number, glass, monkeypatch):
+    """How far the centroid of coating's and ghost's light together lies from the coating's alone, of the traced rays.
+
+    It is by the centroid that `trace.line` places a line. The campaign's fourth setting parts the two lights the
+    farthest. Tolerated are noise and 0.3 µm.
+    """
+    r = bench(scene, diffraction=False)
+    e = r.exposures[number]
+    changed = replace(r, exposures=(e,), effects={"second-surface": {"glass": glass}})
+    alone, merged = trace(bench_of(changed, e)), rays.predict(changed, e)
+    both = measure(light(changed), alone)[..., 0]
+    monkeypatch.setattr(tracer, "GHOST", -1.0)
+    seen = both - measure(light(changed), alone)[..., 0]
+    pull, at = signed_distance(alone, merged.points)
+    along = alone.arc_length()
+    middles = along[len(along) * np.arange(1, PARTS + 1) // (PARTS + 1)]
+    want = np.array([np.interp(np.linspace(m - HALF, m + HALF, 101), at, pull).mean() for m in middles])
+    error = seen.std(axis=0, ddof=1) / np.sqrt(LATTICES)
+    tolerated = THRESHOLD * error + FLOOR
+    print(f"{scene} {glass}: pull {seen.mean(axis=0)}, predicted {want}, noise {error}")
+    assert np.abs(want / tolerated).max() > 3
+    assert (np.abs(seen.mean(axis=0) - want) <= tolerated).all(), (seen.mean(axis=0), want, tolerated)
+
+
 def test_facets_of_an_rms():
     """Leans drawn for an rms have exactly that rms and zero sum; the same recording has the same leans always."""
     r = replace(recording(), effects={"facet-tilts": {"tilt_rms": 2.0}})
@@ -272,6 +352,66 @@ def test_facets_of_an_rms():
         for own in (r.effects["facet-tilts"], each)
     )
     np.testing.assert_allclose(one, other, atol=1e-3 * one.max())
+
+
+def second_moments(hits, curve):
+    """Mean square of the light across the curve about its mean, less the curve's parting: (lattices, stretches)."""
+    out = np.empty((len(hits), PARTS))
+    for j, ((_, _, parting), of_hits) in enumerate(stretches(hits, curve)):
+        for i, (q, w) in enumerate(of_hits):
+            out[i, j] = np.average((q - np.average(q, weights=w)) ** 2, weights=w) - parting
+    return out
+
+
+def drawn(rms, seed):
+    """The recording with leans of an rms, as `render` draws them from a seed, and with the same leans one by one."""
+    r = recording()
+    of_rms = replace(r, effects={"facet-tilts": {"tilt_rms": rms}}, render=replace(r.render, seed=seed))
+    each = {f"tilt_{k}": 1e3 * x for k, x in enumerate(facet.leans(of_rms))}
+    return of_rms, replace(of_rms, effects={"facet-tilts": each})
+
+
+@pytest.mark.parametrize("rms", [0.2, 1.0])
+def test_tilts_of_an_rms_spread_the_light_alike(rms):
+    """What `tilt_rms` means is the mean square of the leans, and so how far the light of all facets is spread.
+
+    `render` draws one pattern of that rms from the seed, the ray model takes the quantiles of a normal distribution.
+    Set-up: three patterns. Expectation: mean, flux and the second moment that is added to the light's are those of the
+    ray model given the rms alone; of the leans one by one it gives the width of the very pattern, too.
+    """
+    r, before, base = without()
+    plain = second_moments(light(r), before)
+    for seed in (1, 2, 3):
+        of_rms, each = drawn(rms, seed)
+        hits = light(of_rms)
+        alone, exact = (rays.predict(x, x.exposures[-1]) for x in (of_rms, each))
+        spread = second_moments(hits, alone) - plain
+        d = np.concatenate([measure(hits, exact) - base, measure(hits, alone)[..., ::2] - base[..., ::2]], axis=2)
+        d = np.concatenate([d, spread[..., None]], axis=2)
+        error = d.std(axis=0, ddof=1) / np.sqrt(LATTICES)
+        wider = np.abs(exact.width - before.width).max()
+        far = np.sqrt(alone.parting.max())
+        size = np.array([far, wider, 0.0, far, 0.0, alone.parting.max()])
+        tolerated = THRESHOLD * error + SYSTEMATIC * size + np.array([FLOOR] * 5 + [FLOOR * far])
+        print(f"{rms} {seed}: {d.mean(axis=0)} of {size}, noise {error}")
+        assert (np.abs(d.mean(axis=0)) <= tolerated).all(), (d.mean(axis=0), tolerated)
+        assert size[5] / tolerated[:, 5].max() > 5
+
+
+@pytest.mark.xfail(
+    strict=True,
+    raises=AssertionError,
+    reason="two patterns of one rms are not equally wide: at 0.3 mrad the ray model's quantiles add 0.56 mm to the "
+    "adaptive width, six drawn patterns 0.33 … 0.61 mm and 0.45 mm in the mean",
+)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_tilts_of_an_rms_are_as_wide_as_the_ray_model_says(seed):
+    _, _, base = without()
+    of_rms, _ = drawn(0.3, seed)
+    alone = rays.predict(of_rms, of_rms.exposures[-1])
+    d = (measure(light(of_rms), alone) - base)[..., 1]
+    error = d.std(axis=0, ddof=1) / np.sqrt(LATTICES)
+    assert (np.abs(d.mean(axis=0)) <= THRESHOLD * error + SYSTEMATIC * alone.width).all(), d.mean(axis=0)
 
 
 def test_a_gated_facet_shows_its_own_lean():
