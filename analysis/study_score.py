@@ -166,15 +166,18 @@ def naming(name: str, group: Sequence[Case], bars: Sequence[tuple[float, float]]
         return holds(c, ("named", "class"))
 
     between = [c for c in group if 3 <= near(c) < 5]
-    lines.append(row(f"{name}: rival at 3-5 σ: named or a class that holds it", between, allowed, 0.95))
-    lines.append(row(f"    of these with SNR ≥ {SEEN:g}", loud(between), allowed, 0.95))
+    # The bar states no SNR; what nobody could see has nothing for a rival, and is in no class.
+    lines.append(
+        row(f"{name}: rival at 3-5 σ, SNR ≥ {SEEN:g}: named or a class that holds it", loud(between), allowed, 0.95)
+    )
+    lines.append(row("    at any SNR", between, allowed))
     below = [c for c in group if near(c) < 3]
-    lines.append(row(f"{name}: rival below 3 σ: a class that holds it", below, holds, 0.95))
-    lines.append(row(f"    of these with SNR ≥ {SEEN:g}", loud(below), holds, 0.95))
+    lines.append(row(f"{name}: rival below 3 σ, SNR ≥ {SEEN:g}: a class that holds it", loud(below), holds, 0.95))
+    lines.append(row("    at any SNR", below, holds))
     # Where one of the two does it all by itself, a class of single effects is what the data allow.
-    two = [c for c in below if c.get("alone", math.inf) >= 3]
-    if len(two) < len(below):
-        lines.append(row("    of these more than 3 σ from either effect alone", two, holds, 0.95))
+    two = [c for c in loud(below) if c.get("alone", math.inf) >= 3]
+    if len(two) < len(loud(below)):
+        lines.append(row("    with SNR and more than 3 σ from either effect alone", two, holds, 0.95))
     lines.append(
         row(f"{name}: rival below 3 σ: a lone name that the rival does not share", below, unshared, 0.0, at_least=False)
     )

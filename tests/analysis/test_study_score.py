@@ -136,25 +136,27 @@ def test_a_place_beside_a_wrong_name_is_no_merit(score):
 def test_a_class_counts_by_its_verdict_only(score, verdict, classes, between, below):
     title = "single effect, six settings: rival"
     said = {"verdict": verdict, "classes": classes}
-    assert line(score.table([case(rival=4.0, **said)]), f"{title} at 3-5 σ: named or")[0] == (between, 1)
-    assert line(score.table([case(rival=1.0, **said)]), f"{title} below 3 σ: a class")[0] == (below, 1)
+    assert line(score.table([case(rival=4.0, **said)]), f"{title} at 3-5 σ, SNR ≥ 8: named or")[0] == (between, 1)
+    assert line(score.table([case(rival=1.0, **said)]), f"{title} below 3 σ, SNR ≥ 8: a class")[0] == (below, 1)
 
 
 def test_a_lone_name_is_right_at_three_sigma_and_wrong_below(score):
     title = "single effect, six settings: rival"
-    assert line(score.table([named("canting", rival=4.0)]), f"{title} at 3-5 σ: named or")[0] == (1, 1)
+    assert line(score.table([named("canting", rival=4.0)]), f"{title} at 3-5 σ, SNR ≥ 8: named or")[0] == (1, 1)
     below = score.table([named("canting", rival=1.0)])
-    assert line(below, f"{title} below 3 σ: a class")[0] == (0, 1)
+    assert line(below, f"{title} below 3 σ, SNR ≥ 8: a class")[0] == (0, 1)
     assert line(below, f"{title} below 3 σ: a lone name")[0] == (1, 1)
 
 
-def test_close_rivals_are_counted_at_every_snr(score):
+def test_close_rivals_are_judged_where_they_show_and_counted_at_every_snr(score):
     cases = [case(rival=1.0, snr=snr, verdict="class", classes=[[["canting"], ["coma"]]]) for snr in (4.0, 20.0)]
     text = score.table(cases).splitlines()
-    at = next(k for k, t in enumerate(text) if t.startswith("single effect, six settings: rival below 3 σ: a class"))
-    assert "2/2 " in text[at]
-    assert text[at + 1].startswith("    of these with SNR ≥ 8")
-    assert "1/1 " in text[at + 1]
+    at = next(
+        k for k, t in enumerate(text) if t.startswith("single effect, six settings: rival below 3 σ, SNR ≥ 8: a class")
+    )
+    assert "1/1 " in text[at]
+    assert text[at + 1].startswith("    at any SNR")
+    assert "2/2 " in text[at + 1]
 
 
 def test_outside_the_catalogue_a_class_is_wrong_too(score):
