@@ -23,18 +23,17 @@ Array = NDArray[np.float64]
 def pulled(curve: Curve, ghost: Curve | None) -> Curve:
     """The coating's trace with the pull of the front face's ghost where the two merge.
 
-    Two profiles of one width σ, the second a distance D off with a share f of the first's light, have the adaptive
-    centre f D exp(−D²/4σ²) to first order in f (`profile.adaptive`): all of f D where they coincide, nothing where they
-    are apart.
+    A line is placed by the centroid of its light (`trace.line`): of two profiles a distance D apart, the second with a
+    share f of the first's light, it lies f D/(1 + f) off the first. Not for ghosts that lie outside the window of the
+    centroid, millimetres off: light that is never read pulls nothing.
     """
     if ghost is None or ghost.flux is None:
         return curve
-    assert curve.width is not None and curve.flux is not None
+    assert curve.flux is not None
     d, s = signed_distance(ghost, curve.points)
     way = ghost.arc_length()
     share = np.interp(s, way, ghost.flux) / curve.flux
-    sigma = np.maximum(curve.width, 1e-6)
-    pull = np.where((s >= 0) & (s <= way[-1]), -d * share * np.exp(-0.25 * (d / sigma) ** 2), 0.0)
+    pull = np.where((s >= 0) & (s <= way[-1]), -d * share / (1 + share), 0.0)
     return replace(curve, points=curve.points + pull[:, None] * left_of(tangents(curve.points)))
 
 

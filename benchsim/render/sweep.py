@@ -128,7 +128,11 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement, lenses
             nu, beta = nu_and_beta(about, centre, laser.wavelength)
         else:
             with np.errstate(all="ignore"):
-                centre, ends = over_height(about, delta, wide, np, facet=which[:, None, None])
+                # The ghost's light has a pattern of its own, whose places the table has to hold, too.
+                front = np.array([0.0, 1.0] if about.shape is not None and about.shape.coated_behind else [0.0])
+                centre, ends = over_height(
+                    about, delta, wide, np, facet=which[:, None, None], ghost=front[:, None, None, None]
+                )
                 nu, beta, gamma = bent_pattern(about, centre, ends, laser.wavelength)
         seen = centre.arrives & (dot(centre.rho, centre.rho) < (2.5 * laser.waist) ** 2)
         if not about.plain:
