@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,15 @@ from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording, Screen
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.writing import write_text
+from benchsim.instruments.bench import chain
 from benchsim.instruments.bench.validation import LEVEL, ExposureValidation, validate_trace
 from benchsim.jobs.fitting import FitResult, draw_overlay, fit_recording
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.report import pictures
+from benchsim.trace.pose import Pose
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -122,9 +127,16 @@ def validate_fit(fitted: FitResult, *, progress: Progress = silent) -> Validatio
                 points=main.points,
                 s=main.s_mm,
                 covariance=trace.covariance(main),
+                measured=_measured(fitted.recording, f.trace.pose),
             )
         )
     return ValidationResult(fitted.recording, tuple(out), fitted.lost)
+
+
+def _measured(recording: Recording, pose: Pose | None) -> Callable[[Array], Array] | None:
+    """Where light at true places of the board is measured, with what the file says of board, print and camera."""
+    seen = chain.view_of_all(recording, pose) if pose is not None and chain.active(recording) else None
+    return None if seen is None else lambda board: chain.measured(recording, seen, board)[0]
 
 
 def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) -> None:
@@ -171,7 +183,7 @@ def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) 
     pictures.figure8(folder / "fig8.png", traces, result.recording.screen.size, notes, footer)
 
 
-def _on_board(curve: Curve, screen: Screen) -> NDArray[np.float64]:
+def _on_board(curve: Curve, screen: Screen) -> Array:
     """Points of a model's curve within the board; the models run a little past it."""
     inside = (np.abs(curve.points) <= np.asarray(screen.size) / 2).all(axis=1)
     return curve.points[inside]

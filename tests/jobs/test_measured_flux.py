@@ -53,16 +53,7 @@ def plain(misfit):
     "own",
     [
         {"grid-scale": {"gs": 10.0}},
-        pytest.param(
-            {"radial-distortion": {"k1": 0.1}},
-            marks=pytest.mark.xfail(
-                strict=True,
-                raises=AssertionError,
-                reason="instruments/bench/prediction.py `_data` takes the flux (and the width) of the light on the "
-                "true board; how lens and print stretch what is measured across the trace is left out: 0.6 % of the "
-                "flux here, where its sigma is 0.3 %",
-            ),
-        ),
+        {"radial-distortion": {"k1": 0.1}},
     ],
     ids=str,
 )

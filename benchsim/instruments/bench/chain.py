@@ -23,7 +23,8 @@ from benchsim import rays
 from benchsim.bench.model import Camera, Recording
 from benchsim.rays.camera import EFFECTS
 from benchsim.trace.lens import undistort
-from benchsim.trace.pose import Pose, pose_derivatives
+from benchsim.trace.marks import board_corners
+from benchsim.trace.pose import Pose, pose_derivatives, to_pixels
 
 Array = NDArray[np.float64]
 
@@ -84,6 +85,22 @@ def view(pose: Pose, corners: Array, weight: Array) -> View:
     size = np.sqrt(np.diag(normal))
     gain = np.linalg.solve(normal / np.outer(size, size), weighted.reshape(-1, 6).T / size[:, None]) / size[:, None]
     return View(pose.camera, pose.rotation, pose.translation, board, flat, gain, j)
+
+
+def view_of_all(recording: Recording, pose: Pose) -> View | None:
+    """View of a pose that all of the board's marks inside the picture bear alike; None where the board has none there.
+
+    For where the marks themselves are no data: which of them were found, and how well, moves the pose by little.
+    """
+    marks = recording.screen.marks
+    if marks is None or not marks.ids:
+        return None
+    corners = board_corners(marks)
+    pixels = to_pixels(pose, corners)
+    inside = ((pixels > 0) & (pixels < np.asarray(pose.camera.resolution) - 1)).all(axis=(1, 2))
+    if inside.sum() < 2:
+        return None
+    return view(pose, corners[inside], np.tile(np.eye(8), (int(inside.sum()), 1, 1)))
 
 
 def active(recording: Recording) -> bool:

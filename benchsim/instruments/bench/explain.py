@@ -22,6 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2
 
 from benchsim.bench.curve import Curve, signed_distance
+from benchsim.bench.errors import BenchsimError
 from benchsim.bench.place import SettingErrors
 from benchsim.bench.settings import NAMES, from_vector
 
@@ -152,7 +153,11 @@ def explain(points: Array, binned: Binned, predict: Predict, prior: Array, *, it
         hessian = jacobian.T @ weighted + np.eye(len(free))
         step = -np.linalg.solve(hessian, weighted.T @ (binned.weights @ after) + x)
         for shrink in (1.0, 0.5, 0.25, 0.1):
-            trial, trial_curve = distances(x + shrink * step)
+            try:
+                trial, trial_curve = distances(x + shrink * step)
+            except BenchsimError:
+                # So far from the stated settings the mirror misses the beam, or the light the board.
+                continue
             value = cost(trial, x + shrink * step)
             if value <= best + 1e-9:
                 break

@@ -37,6 +37,9 @@ FAR = 1e3
 TOGETHER = 64
 """Curves that are held against the data at once, which bounds the memory."""
 
+ASIDE = 0.5
+"""To either side of a line [mm] for how it is stretched: lines are so wide, lenses and boards bend over decimetres."""
+
 SHAPES = ("beam_c4", "beam_plus", "beam_cross")
 QUARTIC = 0.08
 """Largest quartic term, four sigma of its prior, which is approached as a tanh: with larger ones the light grows again
@@ -106,9 +109,18 @@ class Asked(NamedTuple):
     truth: Recording
 
 
+class Measured(NamedTuple):
+    """Coordinates (samples, 2) mm in which a trace is measured, the marks' residuals (m, 2) px, and by what its width
+    is stretched there, (samples,) or 1."""
+
+    points: Array
+    residual: Array
+    stretch: Array | float
+
+
 class Seen(NamedTuple):
-    """A trace as it is measured: (samples, 2) mm, the marks' residuals (m, 2) px, the curve on the true board, and what
-    the sensor adds to its squared width, (samples,) or a number [mm²]."""
+    """A trace as it is measured: (samples, 2) mm, the marks' residuals (m, 2) px, the curve on the true board, what the
+    sensor adds to its squared width, (samples,) or a number [mm²], and by what it is stretched across."""
 
     values: Mapping[str, float]
     block: Block
@@ -116,6 +128,7 @@ class Seen(NamedTuple):
     residual: Array
     curve: Curve
     spilled: Array | float
+    stretch: Array | float
 
 
 @dataclass(frozen=True)
@@ -264,26 +277,27 @@ class Predict:
         out: dict[int, Array] = {}
         seen: dict[Any, list[tuple[int, Seen]]] = {}
         measured = self._measured([asked[i] for i, _ in lit], lights)
-        spilled = self._spilled([asked[i] for i, _ in lit], lights, [points for points, _ in measured])
-        for (i, curve), (points, residual), more in zip(lit, measured, spilled, strict=True):
+        spilled = self._spilled([asked[i] for i, _ in lit], lights, [m.points for m in measured])
+        for (i, curve), (points, residual, stretch), more in zip(lit, measured, spilled, strict=True):
             if np.isfinite(points).all():
                 b = self.blocks[asked[i].block]
                 o = b.observed
                 alike = len(points), len(o.points), len(o.profile_points), len(o.parting), b.response is None
-                seen.setdefault(alike, []).append((i, Seen(asked[i].values, b, points, residual, curve, more)))
+                seen.setdefault(alike, []).append((i, Seen(asked[i].values, b, points, residual, curve, more, stretch)))
         for members in seen.values():
             for first in range(0, len(members), TOGETHER):
                 some = members[first : first + TOGETHER]
                 out.update(zip((i for i, _ in some), _data([s for _, s in some]), strict=True))
         return [out[i] if i in out else np.full(size(self.blocks[a.block]), FAR) for i, a in enumerate(asked)]
 
-    def _measured(self, asked: Sequence[Asked], lights: Sequence[Array]) -> list[tuple[Array, Array]]:
+    def _measured(self, asked: Sequence[Asked], lights: Sequence[Array]) -> list[Measured]:
         """Coordinates in which light at true places of the board is measured, and what the marks show of it.
 
         Light that the same camera sees on the same board is seen at once: what the marks make of the pose is theirs.
         """
-        out: list[tuple[Array, Array]] = [
-            (light, np.zeros((len(self.blocks[a.block].kept), 2))) for a, light in zip(asked, lights, strict=True)
+        out = [
+            Measured(light, np.zeros((len(self.blocks[a.block].kept), 2)), 1.0)
+            for a, light in zip(asked, lights, strict=True)
         ]
         alike: dict[Any, list[int]] = {}
         for i, a in enumerate(asked):
@@ -292,12 +306,19 @@ class Predict:
                 alike.setdefault((id(a.truth), a.block, camera), []).append(i)
         for (_, block, camera), members in alike.items():
             b, truth = self.blocks[block], asked[members[0]].truth
-            board = np.concatenate([lights[i] for i in members])
-            level = np.concatenate([self._level(b, len(lights[i])) for i in members])
-            points, residual = chain.measured(truth, b.observed.view, board, level, camera)
-            ends = np.cumsum([len(lights[i]) for i in members])[:-1]
-            for i, own in zip(members, np.split(points, ends), strict=True):
-                out[i] = own, residual
+            # Where width or flux are data, to either side of the line too: what is stretched there is as wide, and as
+            # bright in sum, as it is stretched.
+            aside = (0.0,) if b.response is None else (0.0, ASIDE, -ASIDE)
+            beside = [lights[i] + h * left_of(tangents(lights[i])) if h else lights[i] for i in members for h in aside]
+            level = np.concatenate([self._level(b, len(light)) for light in beside])
+            points, residual = chain.measured(truth, b.observed.view, np.concatenate(beside), level, camera)
+            parts = np.split(points, np.cumsum([len(light) for light in beside])[:-1])
+            for i, k in zip(members, range(0, len(parts), len(aside)), strict=True):
+                stretch: Array | float = 1.0
+                if len(aside) > 1:
+                    across = left_of(tangents(parts[k]))
+                    stretch = ((parts[k + 1] - parts[k + 2]) * across).sum(axis=1) / (2 * ASIDE)
+                out[i] = Measured(parts[k], residual, stretch)
         return out
 
     def _level(self, b: Block, n: int) -> Array:
@@ -321,7 +342,7 @@ class Predict:
         plain = self._measured(
             [asked[i]._replace(truth=without[id(asked[i].truth)]) for i in wanted], [lights[i] for i in wanted]
         )
-        for i, (points, _) in zip(wanted, plain, strict=True):
+        for i, (points, _, _) in zip(wanted, plain, strict=True):
             a = asked[i]
             sat, level = a.truth.effects["saturation"]["sat"], self._level(self.blocks[a.block], len(points))
             moved = ((measured[i] - points) * left_of(tangents(points))).sum(axis=1)
@@ -396,7 +417,11 @@ def _data(seen: Sequence[Seen]) -> list[Array]:
     light[..., 1] = [s.curve.flux for s in seen]
     light[..., 0] **= 2
     for row, s in zip(light, seen, strict=True):
-        row[:, 0] += s.spilled
+        assert s.block.response is not None
+        # The camera's blur is not on the board: it is as wide as it was.
+        own = s.block.response.blur**2
+        row[:, 0] = (row[:, 0] - own) * np.square(s.stretch) + own + s.spilled
+        row[:, 1] *= s.stretch
     np.log(np.maximum(light[..., 1], 1e-30), out=light[..., 1])
     profiles = np.stack([s.block.observed.profile_points for s in seen])
     distance, _, at = signed_distances(points, np.concatenate([targets, profiles], axis=1), light)

@@ -8,6 +8,7 @@ the model as printed is judged beside it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -135,6 +136,7 @@ def validate_trace(
     points: Array,
     s: Array,
     covariance: Array,
+    measured: Callable[[Array], Array] | None = None,
 ) -> ExposureValidation:
     """Compare one trace with the vector model and with the ray model.
 
@@ -150,6 +152,9 @@ def validate_trace(
         Arc length [mm].
     covariance : (n, n) array
         Of the points' shifts across the curve, camera pose and correlated noise included [mm²].
+    measured : callable, optional
+        Coordinates in which light at true places of the board, (k, 2) mm, is measured, where the file's effects lie
+        between board and pixel (`chain.measured`); default the true places. The vector model as printed knows none.
 
     Returns
     -------
@@ -167,7 +172,8 @@ def validate_trace(
         return vector.trace(mirror, exposure, placement=place(mirror, exposure, errors), screen=wide, count=201)
 
     def bench(errors: SettingErrors) -> Curve:
-        return rays.predict(recording, exposure, errors, samples=64)
+        curve = rays.predict(recording, exposure, errors, samples=64)
+        return curve if measured is None else replace(curve, points=measured(curve.points))
 
     binned = bin_trace(s, covariance)
     prior = prior_sigma(recording.uncertainty, reseated=reseated)
