@@ -25,7 +25,8 @@ from benchsim.bench.place import Placement, place
 from benchsim.diagnosis.problem import Attachment
 from benchsim.instruments.bench import chain
 from benchsim.instruments.bench.amend import summed
-from benchsim.instruments.bench.prediction import Block, Predict, size
+from benchsim.instruments.bench.blocks import Block, size
+from benchsim.instruments.bench.prediction import Predict
 from benchsim.trace.pose import Pose, pose_derivatives
 
 Array = NDArray[np.float64]

@@ -124,6 +124,11 @@ def explain(points: Array, binned: Binned, predict: Predict, prior: Array, *, it
     Returns
     -------
     Explained
+
+    Raises
+    ------
+    BenchsimError
+        If the model's trace is lost at the stated settings, or on the way from them to a minimum that is not reached.
     """
     free = np.flatnonzero(prior > 0)
     scale = prior[free]
@@ -143,6 +148,7 @@ def explain(points: Array, binned: Binned, predict: Predict, prior: Array, *, it
     before, curve = distances(x)
     after, best = before, cost(before, x)
     converged = False
+    missed: BenchsimError | None = None
     hessian = np.eye(len(free))
     for _ in range(iterations):
         # Central differences of 5 % of a prior sigma: rounding and third order both stay far below a µm.
@@ -155,8 +161,9 @@ def explain(points: Array, binned: Binned, predict: Predict, prior: Array, *, it
         for shrink in (1.0, 0.5, 0.25, 0.1):
             try:
                 trial, trial_curve = distances(x + shrink * step)
-            except BenchsimError:
+            except BenchsimError as error:
                 # So far from the stated settings the mirror misses the beam, or the light the board.
+                missed = error
                 continue
             value = cost(trial, x + shrink * step)
             if value <= best + 1e-9:
@@ -169,6 +176,8 @@ def explain(points: Array, binned: Binned, predict: Predict, prior: Array, *, it
         if gain < 1e-4:
             converged = True
             break
+    if missed is not None and not converged:
+        raise missed
     theta, sigma = np.zeros(len(NAMES)), np.zeros(len(NAMES))
     theta[free] = scale * x
     sigma[free] = scale * np.sqrt(np.diag(np.linalg.inv(hessian)))

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim import rays
-from benchsim.bench.curve import Curve, signed_distances
+from benchsim.bench.curve import Curve
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Recording
 from benchsim.bench.place import SettingErrors
 from benchsim.bench.settings import NAMES, from_vector
 from benchsim.instruments.bench import chain
-from benchsim.instruments.bench.observed import Observed
+from benchsim.instruments.bench.blocks import Block, Seen, data, size
 from benchsim.rays.curve import tangents
 from benchsim.rays.smooth import left_of
 
@@ -54,53 +54,6 @@ UNITS = tuple("mm" if "position" in name else "mrad" for name in NAMES)
 _TO_RAD = np.array([1.0 if unit == "mm" else 1e-3 for unit in UNITS])
 
 
-@dataclass(frozen=True)
-class Response:
-    """How an adaptive width behind the camera's blur follows the one that `rays` works out behind one ``blur`` [mm].
-
-    w² = at + slope (w_rays² − near) + by_blur (b² − b₀²); (k,) each, mm² or 1. The blur is part of what `rays` works
-    out because lines that part, stretch or shake change a sharp profile's adaptive width otherwise than a blurred
-    one's; the slopes are for what differs along the trace.
-    """
-
-    blur: float
-    at: Array
-    near: Array
-    slope: Array
-    by_blur: Array
-
-
-@dataclass(frozen=True)
-class Block:
-    """One exposure as the prediction needs it.
-
-    Attributes
-    ----------
-    observed : Observed
-    setting : 13 str
-        Names of its setting errors among the nuisances, in the order of `settings.NAMES`; "": free of error.
-    response : Response or None
-        None where neither width nor flux is used; where lines part, their parting is in their place.
-    level : (samples,)
-        Peak brightness along the stated trace, 1 at the brightest measured.
-    kept : (m,) bool
-        Marks whose residuals are data.
-    offset : (n,) mm
-        c₀: signed distance of the reference points from the stated bench's curve.
-    """
-
-    observed: Observed
-    setting: tuple[str, ...]
-    response: Response | None
-    level: Array
-    kept: NDArray[np.bool_]
-    offset: Array
-
-    @property
-    def camera(self) -> str:
-        return self.observed.view.camera.name
-
-
 class Asked(NamedTuple):
     """A prediction that is wanted: values, the number of the block, and the bench that they make."""
 
@@ -115,19 +68,6 @@ class Measured(NamedTuple):
 
     points: Array
     residual: Array
-    stretch: Array | float
-
-
-class Seen(NamedTuple):
-    """A trace as it is measured: (samples, 2) mm, the marks' residuals (m, 2) px, the curve on the true board, what the
-    sensor adds to its squared width, (samples,) or a number [mm²], and by what it is stretched across."""
-
-    values: Mapping[str, float]
-    block: Block
-    points: Array
-    residual: Array
-    curve: Curve
-    spilled: Array | float
     stretch: Array | float
 
 
@@ -287,7 +227,7 @@ class Predict:
         for members in seen.values():
             for first in range(0, len(members), TOGETHER):
                 some = members[first : first + TOGETHER]
-                out.update(zip((i for i, _ in some), _data([s for _, s in some]), strict=True))
+                out.update(zip((i for i, _ in some), data([s for _, s in some]), strict=True))
         return [out[i] if i in out else np.full(size(self.blocks[a.block]), FAR) for i, a in enumerate(asked)]
 
     def _measured(self, asked: Sequence[Asked], lights: Sequence[Array]) -> list[Measured]:
@@ -390,57 +330,6 @@ class Predict:
         )
 
 
-def _data(seen: Sequence[Seen]) -> list[Array]:
-    """The data of measured curves of equal length, held against as many points each, of blocks with a response each or
-    none."""
-    points = np.stack([s.points for s in seen])
-    marks = [s.residual[s.block.kept].ravel() for s in seen]
-    targets = np.stack([s.block.observed.points for s in seen])
-    if len(seen[0].block.observed.parting):
-        apart = np.stack(
-            [
-                np.zeros(len(p)) if s.curve.parting is None else s.curve.parting
-                for s, p in zip(seen, points, strict=True)
-            ]
-        )
-        distance, _, at = signed_distances(points, targets, apart[..., None])
-        assert at is not None
-        return [
-            np.concatenate([s.block.offset - d, here[:, 0], m])
-            for s, d, here, m in zip(seen, distance, at, marks, strict=True)
-        ]
-    if seen[0].block.response is None:
-        distance = signed_distances(points, targets)[0]
-        return [np.concatenate([s.block.offset - d, m]) for s, d, m in zip(seen, distance, marks, strict=True)]
-    light: Array = np.empty((*points.shape[:2], 2))
-    light[..., 0] = [s.curve.width for s in seen]
-    light[..., 1] = [s.curve.flux for s in seen]
-    light[..., 0] **= 2
-    for row, s in zip(light, seen, strict=True):
-        assert s.block.response is not None
-        # The camera's blur is not on the board: it is as wide as it was.
-        own = s.block.response.blur**2
-        row[:, 0] = (row[:, 0] - own) * np.square(s.stretch) + own + s.spilled
-        row[:, 1] *= s.stretch
-    np.log(np.maximum(light[..., 1], 1e-30), out=light[..., 1])
-    profiles = np.stack([s.block.observed.profile_points for s in seen])
-    distance, _, at = signed_distances(points, np.concatenate([targets, profiles], axis=1), light)
-    assert at is not None
-    n = targets.shape[1]
-    out = []
-    for s, d, here, m in zip(seen, distance, at, marks, strict=True):
-        o, r = s.block.observed, s.block.response
-        assert r is not None
-        blur = s.values.get(f"{s.block.camera}.blur", 0.0)
-        more = ((1 + blur) ** 2 - 1) * (o.blur * o.mm_per_px) ** 2
-        wide = r.at + r.slope * (here[n:, 0] - r.near) + r.by_blur * more
-        # Its level is the gain's alone: whatever of it geometry could change, quadratically, would only be undone.
-        flux = here[n:, 1]
-        flux = flux - flux.mean() + s.values.get(f"{o.name}.gain", 0.0)
-        out.append(np.concatenate([s.block.offset - d[:n], wide, flux, m]))
-    return out
-
-
 def beam_shape(values: Mapping[str, float]) -> tuple[float, float, float]:
     """The beam's profile as `rays.predict` takes it, from the nuisances."""
     c4, plus, cross = (values.get(name, 0.0) for name in SHAPES)
@@ -450,9 +339,3 @@ def beam_shape(values: Mapping[str, float]) -> tuple[float, float, float]:
 def errors(values: Mapping[str, float], setting: tuple[str, ...]) -> SettingErrors:
     """Setting errors of a block from values in mm and mrad; ``setting`` are the 13 names, "" where there is none."""
     return from_vector(np.array([values.get(name, 0.0) if name else 0.0 for name in setting]) * _TO_RAD)
-
-
-def size(b: Block) -> int:
-    """Number of data of a block."""
-    shape = 0 if b.response is None else len(b.observed.width2) + len(b.observed.log_flux)
-    return len(b.observed.points) + shape + len(b.observed.parting) + 2 * int(b.kept.sum())

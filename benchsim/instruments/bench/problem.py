@@ -22,11 +22,12 @@ from benchsim.bench.place import place
 from benchsim.bench.settings import NAMES, OF_THE_SEAT, prior_sigma, screen_seats
 from benchsim.diagnosis.problem import Effect, Parameter, Problem, Values
 from benchsim.instruments.bench.attachments import attachments
+from benchsim.instruments.bench.blocks import Block, Response
 from benchsim.instruments.bench.candidates import candidates, simulated
 from benchsim.instruments.bench.effects import BY_NAME, terms
 from benchsim.instruments.bench.further import Next
 from benchsim.instruments.bench.observed import Observed
-from benchsim.instruments.bench.prediction import SAMPLES, SHAPES, UNITS, Block, Predict, Response
+from benchsim.instruments.bench.prediction import SAMPLES, SHAPES, UNITS, Predict
 from benchsim.instruments.bench.simulation import simulate_one
 from benchsim.rays.camera import EFFECTS as BEYOND_THE_BOARD
 from benchsim.rays.profile import adaptive
