@@ -141,14 +141,13 @@ def table(cases: Iterable[Case]) -> str:
     lines += removed("named", [c["held_out"] for c in known if exact(c) and c["held_out"]], 0.95)
     lines += removed("law", [c["held_out"] for c in known if c["law"] is not None and c["held_out"]], 0.8)
     anew = [c for c in known if c.get("fresh") is not None or "fresh_error" in c]
-    lines.append(
-        row(
-            "amended.toml on a fresh recording: nothing-missing",
-            anew,
-            lambda c: c.get("fresh") == "nothing-missing",
-            0.95,
-        )
-    )
+
+    def nothing_more(c: Case) -> bool:
+        return bool(c.get("fresh") == "nothing-missing")
+
+    lines.append(row("amended.toml on a fresh recording: nothing-missing", anew, nothing_more, 0.95))
+    # A law of finite resolution leaves something of a misfit of hundreds of sigma, which a fresh recording shows.
+    lines.append(row("    of these without a law", [c for c in anew if c["law"] is None], nothing_more))
     return "\n".join([*lines, *silent(of)])
 
 
