@@ -30,7 +30,8 @@ import study_cases as draw
 import study_score as score
 
 from benchsim import diagnosis
-from benchsim.bench.model import Recording, Uncertainty
+from benchsim.bench.model import Recording
+from benchsim.bench.settings import scaled
 from benchsim.diagnosis import curvature
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Problem
@@ -202,18 +203,6 @@ def photographs_case(row: str, seed: int, case: int, shrink: int) -> Iterator[Pa
         sight = draw.Sight.of(seen) if truth.effects or truth.fields else on.sight
         yield draw.visible(truth, sight, values, true)
         yield diagnosed(without(seen, row, truth), truth, None)[1]
-
-
-def scaled(u: Uncertainty, factor: float) -> Uncertainty:
-    """Errors of the settings so many times as large."""
-    return replace(
-        u,
-        mirror_position=u.mirror_position * factor,
-        mirror_axis=u.mirror_axis * factor,
-        laser_direction=u.laser_direction * factor,
-        screen_position=u.screen_position * factor,
-        screen_angle=u.screen_angle * factor,
-    )
 
 
 def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int) -> dict[str, Any]:

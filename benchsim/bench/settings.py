@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -54,6 +55,19 @@ def prior_sigma(uncertainty: Uncertainty, *, reseated: bool) -> NDArray[np.float
     seat = [u.screen_position] * 3 + [u.screen_angle] * 3
     return np.array(
         [u.mirror_position] * 3 + [u.mirror_axis] * 2 + [u.laser_direction] * 2 + (seat if reseated else [0.0] * 6)
+    )
+
+
+def scaled(uncertainty: Uncertainty, factor: float) -> Uncertainty:
+    """Every setting error so many times as large; nothing else is touched."""
+    u = uncertainty
+    return replace(
+        u,
+        mirror_position=u.mirror_position * factor,
+        mirror_axis=u.mirror_axis * factor,
+        laser_direction=u.laser_direction * factor,
+        screen_position=u.screen_position * factor,
+        screen_angle=u.screen_angle * factor,
     )
 
 

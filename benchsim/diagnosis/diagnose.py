@@ -78,7 +78,7 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
     within = best.space if findings.stands else classes.space(problem, naming.linear, naming.null.setting_scale)
     sizes = limits.limits(problem, within, naming.linear.names, on.effects)
     sigma = np.sqrt(np.concatenate([np.diag(c) for c in seen.noise.covariance]))
-    residuals = replace(_residuals(problem, naming, on, laid, shown), sigma=sigma)
+    residuals = _residuals(problem, naming, on, laid, shown, sigma)
     first = next((k for k in ("c", *seen.noise.scale) if k in seen.noise.scale), None)
     notes += _remarks(problem, seen, best, findings, said)
     tell("done", 1.0)
@@ -163,7 +163,7 @@ def _alive(best: Best, sets: Sequence[Effects]) -> list[Alive]:
 
 
 def _residuals(
-    problem: Problem, naming: Naming, on: Fit, laid: Attached | None, shown: held_out.Shown | None
+    problem: Problem, naming: Naming, on: Fit, laid: Attached | None, shown: held_out.Shown | None, sigma: Array
 ) -> Residuals:
     before = problem.data - predict_all(problem, naming.null.values)
     if laid is None:
@@ -178,7 +178,6 @@ def _residuals(
         for b, c in enumerate(naming.noise.covariance):
             rows = problem.rows(b)
             after[rows] = np.linalg.cholesky(c) @ (rest - base.nuisance @ pull)[rows]
-    sigma = np.sqrt(np.concatenate([np.diag(c) for c in naming.noise.covariance]))
     nothing = np.full(len(before), np.nan)
     return Residuals(
         before,

@@ -57,7 +57,7 @@ class Explanation:
     left: float
 
 
-def locate(explanations: Sequence[Explanation], stretches: tuple[Stretch, ...] = ()) -> Location | None:
+def locate(explanations: Sequence[Explanation]) -> Location | None:
     """The element of the best explanation, claimed or not; None where there is no explanation.
 
     ``margin`` is ln Z over the best explanation of any other element; infinite where there is no other element, and
@@ -69,7 +69,7 @@ def locate(explanations: Sequence[Explanation], stretches: tuple[Stretch, ...] =
     others = [e.log_evidence for e in explanations if e.element != best.element]
     margin = best.log_evidence - max(others) if others else float("inf")
     claimed = bool(others) and margin > CLAIM + best.left
-    return Location(best.element, best.coordinate, claimed, float(margin), stretches)
+    return Location(best.element, best.coordinate, claimed, float(margin), ())
 
 
 def scan(

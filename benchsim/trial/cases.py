@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.bench import settings
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field
 from benchsim.bench.files import write
@@ -261,7 +262,7 @@ def _made(plan: Plan, number: int, attempt: int, folder: Path) -> dict[str, Any]
         effects=concealed.effects,
         fields=concealed.fields,
         render=options,
-        uncertainty=_times(bench, scale),
+        uncertainty=settings.scaled(bench.uncertainty, scale),
     )
     seed = int(rng_of(plan.seed, number, "photographs", attempt).integers(2**62))
     made = render_recording(true, folder, seed=seed, conceal=True)
@@ -287,19 +288,6 @@ def _made(plan: Plan, number: int, attempt: int, folder: Path) -> dict[str, Any]
 
 def _rows(rows: tuple[tuple[float, ...], ...]) -> list[list[float]]:
     return [list(row) for row in rows]
-
-
-def _times(bench: Recording, scale: float) -> Any:
-    """Uncertainty with every setting error scaled."""
-    u = bench.uncertainty
-    return replace(
-        u,
-        mirror_position=u.mirror_position * scale,
-        mirror_axis=u.mirror_axis * scale,
-        laser_direction=u.laser_direction * scale,
-        screen_position=u.screen_position * scale,
-        screen_angle=u.screen_angle * scale,
-    )
 
 
 def visible(recording: Recording, concealed: Concealed, plan: Plan) -> dict[str, Any]:

@@ -4,29 +4,10 @@ Scenario: a referee reads the study's table. Cases that ended without a verdict,
 classes without a class verdict and tiers thrown together would each make it better than the diagnosis is.
 """
 
-import importlib.util
 import re
 import sys
-from pathlib import Path
 
 import pytest
-
-ANALYSIS = Path(__file__).resolve().parents[2] / "analysis"
-
-
-@pytest.fixture
-def script(monkeypatch):
-    """Load a script of analysis/ by name, with its folder on the path as when it is run."""
-    monkeypatch.syspath_prepend(str(ANALYSIS))
-
-    def load(name):
-        spec = importlib.util.spec_from_file_location(name, ANALYSIS / f"{name}.py")
-        module = importlib.util.module_from_spec(spec)
-        monkeypatch.setitem(sys.modules, name, module)
-        spec.loader.exec_module(module)
-        return module
-
-    return load
 
 
 @pytest.fixture

@@ -1,30 +1,10 @@
 """The published figures: drawn, and saying what the paper's text says of them."""
 
-import importlib.util
 import math
-import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-
-ANALYSIS = Path(__file__).resolve().parents[2] / "analysis"
-
-
-@pytest.fixture
-def script(monkeypatch):
-    """Load a script of analysis/ by name, with its folder on the path as when it is run."""
-    monkeypatch.syspath_prepend(str(ANALYSIS))
-
-    def load(name):
-        spec = importlib.util.spec_from_file_location(name, ANALYSIS / f"{name}.py")
-        module = importlib.util.module_from_spec(spec)
-        monkeypatch.setitem(sys.modules, name, module)
-        spec.loader.exec_module(module)
-        return module
-
-    return load
 
 
 def coloured(picture, bgr):

@@ -230,7 +230,7 @@ class Predict:
                 out.update(zip((i for i, _ in some), data([s for _, s in some]), strict=True))
         return [out[i] if i in out else np.full(size(self.blocks[a.block]), FAR) for i, a in enumerate(asked)]
 
-    def _measured(self, asked: Sequence[Asked], lights: Sequence[Array]) -> list[Measured]:
+    def _measured(self, asked: Sequence[Asked], lights: Sequence[Array], *, stretched: bool = True) -> list[Measured]:
         """Coordinates in which light at true places of the board is measured, and what the marks show of it.
 
         Light that the same camera sees on the same board is seen at once: what the marks make of the pose is theirs.
@@ -248,7 +248,7 @@ class Predict:
             b, truth = self.blocks[block], asked[members[0]].truth
             # Where width or flux are data, to either side of the line too: what is stretched there is as wide, and as
             # bright in sum, as it is stretched.
-            aside = (0.0,) if b.response is None else (0.0, ASIDE, -ASIDE)
+            aside = (0.0,) if b.response is None or not stretched else (0.0, ASIDE, -ASIDE)
             beside = [lights[i] + h * left_of(tangents(lights[i])) if h else lights[i] for i in members for h in aside]
             level = np.concatenate([self._level(b, len(light)) for light in beside])
             points, residual = chain.measured(truth, b.observed.view, np.concatenate(beside), level, camera)
@@ -280,7 +280,9 @@ class Predict:
                     others = {name: own for name, own in effects.items() if name != "saturation"}
                     without[id(a.truth)] = replace(a.truth, effects=others)
         plain = self._measured(
-            [asked[i]._replace(truth=without[id(asked[i].truth)]) for i in wanted], [lights[i] for i in wanted]
+            [asked[i]._replace(truth=without[id(asked[i].truth)]) for i in wanted],
+            [lights[i] for i in wanted],
+            stretched=False,
         )
         for i, (points, _, _) in zip(wanted, plain, strict=True):
             a = asked[i]
