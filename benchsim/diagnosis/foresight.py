@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 SIDES = 2
 """Most amplitudes of an effect that are begun with either sign: a descent from 0 may end in the wrong valley."""
 
+FAINT = 0.01
+"""Amplitude with a power, in units of sigma**power, at which it is begun besides."""
+
 LOOKS = 4
 """Models that are followed after the first, each about the end of the last: settings some sigma off, and effects at a
 prior sigma, are ten thousand sigma in the data, and their third order is hundreds."""
@@ -51,7 +54,7 @@ class End(NamedTuple):
 
 
 def foretell(context: Context, h: Hypothesis) -> Foretold | None:
-    """Descend from the stated settings, amplitudes at one prior sigma of either sign.
+    """Descend from the stated settings, amplitudes at one prior sigma of either sign, or also faint (`FAINT`).
 
     Parameters
     ----------
@@ -107,5 +110,7 @@ def _begun(h: Hypothesis) -> list[Array]:
         own = evidence.amplitudes(e)
         for a in own:
             q = a.sigma**a.power
-            axes.append((0.0,) if len(own) > SIDES else (q,) if evidence.kind(a) else (-q, q))
+            # What has a power is seen at a tenth of a prior sigma, where widths bend otherwise than at a whole one.
+            faint = (FAINT * q,) if a.power > 1 else ()
+            axes.append((0.0,) if len(own) > SIDES else (*faint, q) if evidence.kind(a) else (-q, q))
     return [np.array(q) for q in product(*axes)]

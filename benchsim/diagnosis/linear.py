@@ -202,8 +202,9 @@ def columns(
     parameters : tuple of Parameter
         Each is differentiated on its own blocks only.
     steps : mapping, optional
-        Step of value**power by name; default 5 % of sigma**power, which is far below the scale on which the
-        prediction bends and far above its rounding.
+        Step of the value by name; default 5 % of sigma, which is far below the scale on which the prediction bends and
+        far above its rounding. What has a power is stepped in its value too: widths that add in quadrature are seen at
+        a tenth of a prior sigma, and a step of 5 % of sigma**power would reach to a third of one.
     """
     return columns_at(problem, [(at, parameters)], steps)[0]
 
@@ -219,17 +220,18 @@ def columns_at(
     blocks: list[int] = []
     for i, (at, parameters) in enumerate(points):
         for k, p in enumerate(parameters):
-            middle = fit_value(p, at.get(p.name, 0.0))
-            step = (steps or {}).get(p.name, 0.05 * p.sigma**p.power)
+            middle = at.get(p.name, 0.0)
+            step = (steps or {}).get(p.name, 0.05 * p.sigma)
             # A quantity that exists only where it is ≥ 0 is differentiated to the right of 0.
             ends = (middle - step, middle + step)
             if (p.one_sided or p.power > 1) and ends[0] < 0:
                 ends = (0.0, 2 * step)
+            width = fit_value(p, ends[1]) - fit_value(p, ends[0])
             for b in range(len(problem.names)) if p.blocks is None else p.blocks:
                 for end, sign in zip(ends, (-1.0, 1.0), strict=True):
-                    values.append({**at, p.name: value_of(p, end)})
+                    values.append({**at, p.name: end})
                     blocks.append(b)
-                    tasks.append((i, k, b, sign, ends[1] - ends[0]))
+                    tasks.append((i, k, b, sign, width))
     out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
     for (i, k, b, sign, width), predicted in zip(tasks, predictions(problem, values, blocks), strict=True):
         out[i][problem.rows(b), k] += sign * np.asarray(predicted) / width

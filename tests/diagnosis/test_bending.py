@@ -116,6 +116,30 @@ def test_foresight_comes_near_what_the_fit_finds(q):
     assert abs(foretold.points[0].amplitude[0] - found.values["q"]) < 0.1
 
 
+BLURS = tuple(Effect(n, "mirror", (Parameter(n, "1", 1.5, one_sided=True, power=2),)) for n in ("even", "lopsided"))
+
+
+def blurred(values, block):
+    """Widths: two blurs of alike, not the same profile add in quadrature; a setting widens what it also tilts."""
+    s, o = (values.get(f"{name}{block}", 0.0) for name in ("s", "o"))
+    own = 0.05 + 0.3 * s * X + 0.1 * s**2 + 0.05 * o
+    return np.sqrt(own**2 + values.get("even", 0.0) ** 2 + values.get("lopsided", 0.0) ** 2 * (1 + 0.02 * X))
+
+
+def test_foresight_comes_near_the_fit_of_a_blur_that_is_a_tenth_of_what_it_may_be():
+    """Scenario: a prior sigma of the blur is thirty times the width, a thousand sigma in the data; what is there is a
+    tenth of it. Two blurs that the data hardly tell apart must be foretold alike, or the one is never tried."""
+    truth = {"even": 0.15, "s0": 0.2, "s1": -0.2, "o0": 0.6, "o1": 0.4}
+    made = replace(problem({}), catalogue=BLURS, predict=blurred)
+    made = replace(made, data=predict_all(made, truth) + NOISE * np.random.default_rng(0).standard_normal(80))
+    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    found = {f.effects: f for f in naming.name(made).fits}
+    for effect in BLURS:
+        foretold = foresight.foretell(context, Hypothesis((effect,)))
+        fitted = found[(effect.name,)].log_evidence - screen.log_prior((effect.name,), [e.name for e in BLURS])
+        assert abs(foretold.log_evidence - fitted) < search.FORESEEN
+
+
 def test_foresight_says_when_it_cannot():
     made = problem(TRUTH)
     without = Context(made, whitener(made, made.covariance), *settings.grid())

@@ -73,6 +73,18 @@ def test_a_square_is_differentiated_by_the_square_and_only_to_the_right_of_zero(
     assert not column[problem.kind == "c"].any()
 
 
+def test_a_square_is_differentiated_where_it_is_seen():
+    """Scenario: a blur of a tenth of its prior sigma, many sigma in the data. The step is a part of the value's
+    prior sigma: a twentieth of its square would reach three times as far as the blur is wide."""
+    problem, _ = lines.problem()
+    blur = next(p for p in AMPLITUDES if p.name == "blur")
+    faint = 0.1 * blur.sigma
+    column = linear.columns(problem, {"blur": faint}, (blur,))[:, 0]
+    plain = np.concatenate([0.3 + 0.1 * u * lines.Y for u in lines.SETTINGS])
+    exact = 1 / (2 * np.sqrt(plain**2 + faint**2))
+    np.testing.assert_allclose(column[problem.kind == "w"], exact, rtol=0.01)
+
+
 def test_a_parameter_is_differentiated_on_its_own_blocks_only():
     problem, _ = lines.problem()
     asked = []
