@@ -27,9 +27,13 @@ SIDES = 2
 FAINT = 0.01
 """Amplitude with a power, in units of sigma**power, at which it is begun besides."""
 
-LOOKS = 4
+LOOKS = 8
 """Models that are followed after the first, each about the end of the last: settings some sigma off, and effects at a
 prior sigma, are ten thousand sigma in the data, and their third order is hundreds."""
+
+LOOSE = 1
+"""Which of the grid's setting scales a descent has, the first but the stated one: beside the right effect settings are
+off as stated. Looser ones wander to seven sigma, where the effect's size no longer matters."""
 
 LEAST = 0.3
 """Gain [ln posterior] at which a model is followed no further."""
@@ -71,8 +75,7 @@ def foretell(context: Context, h: Hypothesis) -> Foretold | None:
     if stated is None or h.shapes or any(e.whole for e in h.effects):
         return None
     p, k, terms = len(context.problem.nuisances), len(h.amplitudes), h.terms()
-    middle = len(context.scales) // 2
-    prior = descent.prior_of(context, h, context.scales[middle], terms[len(terms) // 2].field_sigma)
+    prior = descent.prior_of(context, h, context.scales[LOOSE], terms[len(terms) // 2].field_sigma)
 
     def columns_at(theta: Array) -> Array:
         return context.columns(values(context.problem, h, descent.point_of(theta, p, k)), h.amplitudes)
