@@ -83,6 +83,7 @@ def name(
         )
         tell("weighing singles and pairs", 0.35)
         table, done = search(context, catalogue, solved, refits, tell, earlier)
+        solved = done[()]
         best = max(done.values(), key=lambda s: s.fit.log_evidence if s.fit.converged else -np.inf)
         if attempt or not best.fit.effects:
             break

@@ -76,7 +76,8 @@ def search(
 ) -> tuple[Table, dict[Effects, Solved]]:
     """Screen, refit, weigh again what contains the refitted, until nothing unfitted matters.
 
-    ``earlier`` holds where fits ended when the same data were searched with noise that was estimated worse.
+    ``earlier`` holds where fits ended when the same data were searched with noise that was estimated worse. The null
+    that comes back among the fits may be a better one than ``null``.
     """
     white = context.whiten(catalogue.columns)
     log_z = screen.screen(null.fit.linear, catalogue, white, context.scales, context.weights)
@@ -138,7 +139,29 @@ def search(
             _weigh_again(context, catalogue, white, solved, table, done)
     if not foretold:
         _challenge(context, catalogue, white, null, table, done)
+    if bent and not refit.misses(context, null):
+        _null_again(context, catalogue, table, done)
     return table, done
+
+
+def _null_again(context: Context, catalogue: Catalogue, table: Table, done: dict[Effects, Solved]) -> None:
+    """Refit the null from the settings beside which the best effect was fitted, and keep the better.
+
+    Settings that are off by several sigma have more than one valley: an effect that only led to a deeper one must not
+    be named for it.
+    """
+    best = max((s for s in done.values() if s.fit.converged), key=lambda s: s.fit.log_evidence, default=done[()])
+    if not best.fit.effects:
+        return
+    h, nuisance = Hypothesis(()), best.point.nuisance
+    point = Point(nuisance, np.zeros(0), np.zeros(0))
+    known = Known(context.nuisance_columns(values(context.problem, h, point)), nuisance)
+    prior = screen.log_prior((), list(catalogue.effects))
+    again = refit.fit(context, h, [point], known, np.zeros((len(context.problem.data), 0)), prior)
+    was = done[()].fit
+    if again.fit.converged and not (was.converged and was.log_evidence >= again.fit.log_evidence):
+        done[()] = again
+        table.log_z[()] = again.fit.log_evidence
 
 
 def _top_two(table: Table, done: Mapping[Effects, Solved]) -> Effects | None:

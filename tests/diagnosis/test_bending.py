@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import curvature, foresight, naming, screen, search, settings, starts
+from benchsim.diagnosis import curvature, foresight, naming, refit, screen, search, settings, starts
 from benchsim.diagnosis.fits import Fit
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, whitener
 from benchsim.diagnosis.linear import linearise, predict_all
@@ -157,6 +157,31 @@ def test_it_is_named_and_sized_all_the_same(seed):
     best = found.fits[0]
     assert best.converged and best.effects == ("aberration",)
     assert abs(best.values["q"] - TRUTH["q"]) < 4 * best.sigma["q"]
+
+
+def test_a_null_in_the_wrong_valley_is_led_out_by_the_best_effect():
+    """Scenario: settings off by three sigma and nothing else. The null ended elsewhere, 20 in ln Z too low; an effect
+    that is not there was fitted with the right settings and would be named for them."""
+    made = problem({"s0": 0.33, "s1": -0.31, "o0": 1.8, "o1": -2.2})
+    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    catalogue = screen.expand(made, {})
+
+    def fitted(effects, point):
+        h, size = Hypothesis(effects), np.zeros((80, len(effects)))
+        known = Known(context.curvature.first, np.zeros(4))
+        prior = screen.log_prior(tuple(e.name for e in effects), list(catalogue.effects))
+        return refit.fit(context, h, [point], known, size if not effects else None, prior)
+
+    right = fitted((), Point(np.zeros(4), np.zeros(0), np.zeros(0)))
+    best = fitted(CATALOGUE[1:], Point(np.zeros(4), np.zeros(1), np.zeros(0)))
+    trapped = replace(right, fit=replace(right.fit, log_evidence=right.fit.log_evidence - 20))
+    done = {(): trapped, ("slant",): best}
+    table = search.Table({(): trapped.fit.log_evidence}, {(): ()})
+    search._null_again(context, catalogue, table, done)
+    assert abs(done[()].fit.log_evidence - right.fit.log_evidence) < 0.5
+    assert done[()].fit.log_evidence == table.log_z[()] > best.fit.log_evidence
+    search._null_again(context, catalogue, table, done)
+    assert done[()].fit.log_evidence == table.log_z[()]
 
 
 KINK, PERIOD, PHASES = 0.05 * NOISE, 1 / 6, np.random.default_rng(1).uniform(0, 1, len(X))
