@@ -3,7 +3,7 @@
 A null whose settings were bent to imitate an effect is no place to judge effects from: no linearisation about it shows
 what it hides. About the stated settings the second-order model (`curvature`) holds over some prior sigma of them; it is
 followed to its minimum, where the residual is asked again, and so on a few times. The settings' derivatives are never
-made anew, so that this costs some sixty predictions of the data where a fit takes hundreds. What it ends at ranks
+made anew, so that this costs some tens of predictions of the data where a fit takes hundreds. What it ends at ranks
 hypotheses, and is where their fits begin. Not an evidence to claim anything by: it need not have converged.
 """
 

@@ -95,7 +95,8 @@ def strayed(context: Context, solved: Solved) -> bool:
     return misses(context, solved) or bent(solved)
 
 
-def _exact(context: Context, h: Hypothesis, theta: Array) -> Known:
+def exact(context: Context, h: Hypothesis, theta: Array) -> Known:
+    """Nuisances' columns differentiated at a point: nuisances, amplitudes and shapes in one row."""
     p = len(context.problem.nuisances)
     at = values(context.problem, h, point_of(theta, p, len(h.amplitudes)))
     return Known(context.nuisance_columns(at), theta[:p].copy(), sizes_of(context, h, theta))
@@ -116,7 +117,7 @@ def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: 
     try:
         lower = np.linalg.cholesky(precision + 1e-12 * float(np.diag(precision).max()) * np.eye(p))
     except np.linalg.LinAlgError:
-        return _exact(context, h, theta)
+        return exact(context, h, theta)
     # A fixed seed: the same data give the same diagnosis.
     signs = np.random.default_rng(len(h.names)).choice([-1.0, 1.0], p)
     draw = solve_triangular(lower, signs, lower=True, trans=1)
@@ -133,7 +134,7 @@ def _fresh(context: Context, h: Hypothesis, theta: Array, known: Known, scaled: 
     stated = context.whiten(known.columns @ step / unit)
     if np.linalg.norm(wrong) <= AGREE * max(float(np.linalg.norm(stated)), 1.0):
         return known
-    return _exact(context, h, theta)
+    return exact(context, h, theta)
 
 
 def about(context: Context, h: Hypothesis, point: Point, residual: Array, known: Known, own: Array) -> Linear:
@@ -242,7 +243,7 @@ def fit(
         s = np.where(is_scaled, context.scales[hyper[0]], 1.0)
         anew = stalled and not (anew and gained < WORTH)
         if stalled:
-            known = _exact(context, h, state.theta)
+            known = exact(context, h, state.theta)
             if anew:
                 context = context.bending_at(values(problem, h, point_of(state.theta, p, k)), h.effects)
         else:

@@ -154,8 +154,7 @@ def _null_again(context: Context, catalogue: Catalogue, table: Table, done: dict
     if not best.fit.effects:
         return
     h, nuisance = Hypothesis(()), best.point.nuisance
-    point = Point(nuisance, np.zeros(0), np.zeros(0))
-    known = Known(context.nuisance_columns(values(context.problem, h, point)), nuisance)
+    point, known = Point(nuisance, np.zeros(0), np.zeros(0)), refit.exact(context, h, nuisance)
     prior = screen.log_prior((), list(catalogue.effects))
     again = refit.fit(context, h, [point], known, np.zeros((len(context.problem.data), 0)), prior)
     was = done[()].fit
