@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 NODES = (64, 40, 24)
 """Of the quadrature, innermost first; further out all have the last: 1e-2 in ln Z or better (held by a test)."""
 
+ROUNDING = 1e-12
+"""Part of an amplitude's square that is left beside others, below which it is rounding."""
+
 FIELD_SIGMAS = np.geomspace(1 / 64, 1.0, 8)
 """Population sigma of a random field over its largest, uniform prior: weights proportional to the spacing."""
 
@@ -139,7 +142,8 @@ def log_factors(gram: Array, projection: Array, terms: Sequence[Term]) -> Array:
         b = projection[:, index] * unit
         flat = log_integral(g.reshape(-1, *g.shape[2:]), b.reshape(-1, b.shape[2]), counts)
         out[:, members] = flat.reshape(len(gram), -1)
-    return out
+    # A single one that is no number would make every probability one: what cannot be weighed is not believed.
+    return np.where(np.isnan(out), -np.inf, out)
 
 
 def log_integral(gram: Array, projection: Array, counts: tuple[int, int, int]) -> Array:
@@ -153,7 +157,11 @@ def log_integral(gram: Array, projection: Array, counts: tuple[int, int, int]) -
         solved = np.linalg.solve(precision, sides)
         out += 0.5 * np.einsum("bi,bi->b", sides[:, :, 0], solved[:, :, 0]) - 0.5 * np.linalg.slogdet(precision)[1]
         b = b - np.einsum("bij,bi->bj", sides[:, :, 1:], solved[:, :, 0])
+        whole = np.einsum("bii->bi", g)
         g = g - np.swapaxes(sides[:, :, 1:], 1, 2) @ solved[:, :, 1:]
+        # What the free amplitudes take up but for rounding is not seen beside them; a square below 0 has no root.
+        seen = np.einsum("bii->bi", g) > ROUNDING * whole
+        b, g = np.where(seen, b, 0.0), np.where(seen[:, :, None] & seen[:, None, :], g, 0.0)
     return out + _halves(g, b, lines, squares)
 
 

@@ -24,6 +24,10 @@ Array = NDArray[np.float64]
 SIDES = 2
 """Most amplitudes of an effect that are begun with either sign: a descent from 0 may end in the wrong valley."""
 
+SIZES = (0.5, 1.0, 2.0)
+"""Prior sigmas at which amplitudes are begun, all at the same: beside a strong effect even the right sign has valleys
+in which another takes a part of it."""
+
 FAINT = 0.01
 """Amplitude with a power, in units of sigma**power, at which it is begun besides."""
 
@@ -58,7 +62,7 @@ class End(NamedTuple):
 
 
 def foretell(context: Context, h: Hypothesis) -> Foretold | None:
-    """Descend from the stated settings, amplitudes at one prior sigma of either sign, or also faint (`FAINT`).
+    """Descend from the stated settings, amplitudes at some sizes (`SIZES`) of either sign, or also faint (`FAINT`).
 
     Parameters
     ----------
@@ -116,4 +120,4 @@ def _begun(h: Hypothesis) -> list[Array]:
             # What has a power is seen at a tenth of a prior sigma, where widths bend otherwise than at a whole one.
             faint = (FAINT * q,) if a.power > 1 else ()
             axes.append((0.0,) if len(own) > SIDES else (*faint, q) if evidence.kind(a) else (-q, q))
-    return [np.array(q) for q in product(*axes)]
+    return [size * np.array(q) for size in SIZES for q in product(*axes)]

@@ -141,6 +141,34 @@ def precision(nuisance: Array, sigma: Array, own: Array | None = None) -> tuple[
     return (upper * np.sign(np.diag(upper))[:, None]).T, True
 
 
+def beside(nuisance: Array, sigma: Array, columns: Array, product: Array, square: Array) -> Array:
+    """Products of columns through M⁻¹, made anew where too little is left of a square for a difference to tell.
+
+    Far from any fit columns can be some 1e8 sigma long and lie almost wholly among the nuisances': what is left of
+    their products by subtraction is rounding, and need not even be positive.
+
+    Parameters
+    ----------
+    nuisance : (n, p) array
+        Whitened.
+    sigma : (p,) array
+        Prior sigmas.
+    columns : (n, k) array
+    product : (k, k) array
+        By subtraction.
+    square : (k,) array
+        The columns' own squares.
+    """
+    if not nuisance.shape[1] or (np.diag(product) >= CANCELLED * square).all():
+        return product
+    basis = np.linalg.qr(np.concatenate([nuisance, np.diag(1 / sigma)]))[0]
+    rest = np.concatenate([columns, np.zeros((len(sigma), columns.shape[1]))])
+    for _ in range(2):
+        # Once more, since what the first leaves in the basis is rounding of the whole column.
+        rest = rest - basis @ (basis.T @ rest)
+    return np.asarray(rest.T @ rest)
+
+
 def posterior(columns: Array, sigma: Array, own: Array | None = None) -> Array:
     """(NᵀN + S⁻²)⁻¹, arguments as in `precision`; never a negative variance."""
     lower, _ = precision(columns, sigma, own)
@@ -165,8 +193,8 @@ def marginal(linear: Linear, columns: Array, scale: float = 1.0, keep: NDArray[n
     n_cols, both = linear.nuisance[use], np.column_stack([linear.residual[use], columns[use]])
     s = np.where(linear.scaled, scale, 1.0)
     factor = precision(n_cols, s)
-    cross = n_cols.T @ both
-    product = both.T @ both - cross.T @ cho_solve(factor, cross)
+    cross, square = n_cols.T @ both, both.T @ both
+    product = beside(n_cols, s, both, square - cross.T @ cho_solve(factor, cross), np.diag(square))
     logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum())
     whitening = linear.logdet if keep is None else 0.0
     return Marginal(product[1:, 1:], product[1:, 0], float(product[0, 0]), logdet + whitening, len(both))

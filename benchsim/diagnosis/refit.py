@@ -65,7 +65,7 @@ SLOW = 0.1
 """Part of a misfit beyond doubt that each of them has to take away: a hypothesis that is wrong by far is not followed
 through every valley."""
 
-BENT = 2.0
+BENT = 1.5
 """Setting scale from which a fit's settings are taken to hide an effect, until others that begin at the stated ones
 have ended no better."""
 
