@@ -111,27 +111,23 @@ def _gather(
         local = i - problem.rows(b).start
         position, unit = problem.position[i], sigma[i]
         contrast = _smooth_contrasts(position) if len(lengths) else np.eye(len(i))
-        stated = problem.covariance[b][np.ix_(local, local)] / unit[:, None] / unit
-        lower = np.linalg.cholesky(contrast.T @ stated @ contrast)
-        both = np.column_stack([residual[i], remove[i]]) / unit[:, None]
-        both = solve_triangular(lower, contrast.T @ both, lower=True)
+        # Smooth in the data's own units: sigmas that follow the data would give what is smooth the data's own scatter.
+        lower = np.linalg.cholesky(contrast.T @ problem.covariance[b][np.ix_(local, local)] @ contrast)
+        both = solve_triangular(lower, contrast.T @ np.column_stack([residual[i], remove[i]]), lower=True)
         data.append(both[:, 0])
         columns.append(both[:, 1:])
         turned = []
         for length in lengths:
-            shared = np.exp(-np.abs(position[:, None] - position) / length)
+            shared = np.exp(-np.abs(position[:, None] - position) / length) * np.outer(unit, unit)
             half = solve_triangular(lower, contrast.T @ shared @ contrast, lower=True)
             turned.append(np.linalg.eigh(solve_triangular(lower, half.T, lower=True)))
         rotations.append(turned)
     z, x = np.concatenate(data), np.concatenate(columns)
     x = x[:, np.linalg.norm(x, axis=0) > VISIBLE]
     if x.shape[1]:
-        # Directions by the eigenvectors of the smaller Gram matrix: far cheaper than a decomposition of x itself.
-        wide = x.shape[1] > len(x)
-        value, vector = np.linalg.eigh(x @ x.T if wide else x.T @ x)
-        order = np.argsort(-value)[: max(len(z) // 3, 1)]
-        order = order[value[order] > VISIBLE**2]
-        x = vector[:, order] if wide else x @ vector[:, order] / np.sqrt(value[order])
+        # Not by the eigenvectors of a product: columns of 1e9 sigma would leave rounding of the directions of some.
+        vector, value, _ = np.linalg.svd(x, full_matrices=False)
+        x = vector[:, : max(len(z) // 3, 1)][:, value[: max(len(z) // 3, 1)] > VISIBLE]
     edges = np.cumsum([0, *(len(d) for d in data)])
     eigen, turned_z, turned_x = [np.zeros(len(z))], [z], [x]
     for j in range(len(lengths)):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from benchsim.bench.errors import BenchsimError
 from benchsim.rays import laser as source
 from benchsim.rays.bench import Bench
 from benchsim.rays.diffraction import even_profile, fresnel_profile, rule_needed, scales
@@ -18,6 +19,11 @@ Array = NDArray[np.float64]
 FEW, MORE = 6, 24
 """Profiles whose widths are worked out; between them the width is smooth (1e-4 mm). More where a field has the facets
 lean differently from phase to phase, and the width follows its knots."""
+
+
+MOST = 100_000
+"""Half the samples of a profile with diffraction beyond which there is no trace: light that a step of a fit sends past
+the board's horizon is kilometres wide."""
 
 
 def blurs(bench: Bench, lateral: Array) -> Array:
@@ -106,6 +112,10 @@ def _grids(
     """Half the count of the grid over q, and the count of nodes over the height, (bench, 2)."""
     # Two samples per slit scale: the pattern times the weight is band-limited, so the sums converge exponentially.
     count = 4 * np.ceil(slits.reshape(benches, -1).max(axis=1) / 2)
+    if not (count <= MOST).all():
+        raise BenchsimError(
+            "the light of a trace is spread so far that its diffraction cannot be drawn; give smaller effects or errors"
+        )
     rule = rule_needed(some, bench.laser.wavelength, bench.mirror.height, reach, benches)
     return np.stack([count.astype(np.intp), rule], axis=1)
 

@@ -140,6 +140,26 @@ def test_foresight_comes_near_the_fit_of_a_blur_that_is_a_tenth_of_what_it_may_b
         assert abs(foretold.log_evidence - fitted) < search.FORESEEN
 
 
+def test_foresight_finds_the_valley_of_a_size_at_its_cap(monkeypatch):
+    """Scenario: what is seen of an amplitude comes round again with its size, but for a little. The descent from one
+    prior sigma ends in the valley next to the true one, hundreds in ln Z above it."""
+
+    def round_again(values, block):
+        s, o, a = (values.get(name, 0.0) for name in (f"s{block}", f"o{block}", "a"))
+        return np.sin(4 * a) * X + 0.5 * a * X**2 + s * X**3 + o
+
+    made = replace(
+        problem({}), catalogue=(Effect("round", "mirror", (Parameter("a", "1", 1.0),)),), predict=round_again
+    )
+    truth = {"a": 2.2, "s0": 0.1, "s1": -0.1, "o0": 0.8, "o1": -1.2}
+    made = replace(made, data=predict_all(made, truth) + NOISE * np.random.default_rng(0).standard_normal(80))
+    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    found = foresight.foretell(context, Hypothesis(made.catalogue))
+    assert abs(found.points[0].amplitude[0] - 2.2) < 0.02
+    monkeypatch.setattr(foresight, "SIZES", (1.0,))
+    assert foresight.foretell(context, Hypothesis(made.catalogue)).log_evidence < found.log_evidence - 100
+
+
 def test_foresight_says_when_it_cannot():
     made = problem(TRUTH)
     without = Context(made, whitener(made, made.covariance), *settings.grid())

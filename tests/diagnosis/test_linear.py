@@ -4,7 +4,7 @@ import lines
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import linear, settings
+from benchsim.diagnosis import evidence, linear, settings
 from benchsim.diagnosis.problem import Parameter
 
 AMPLITUDES = tuple(p for e in lines.CATALOGUE for p in e.parameters if not p.grid)
@@ -42,6 +42,46 @@ def test_columns_so_long_that_their_square_has_lost_the_prior_are_factored_all_t
     np.testing.assert_allclose(factor @ factor.T, inner, rtol=1e-9, atol=1e-9 * np.abs(inner).max())
     near = rng.normal(size=(60, 10))
     np.testing.assert_allclose(linear.precision(near, s[:10])[0], np.linalg.cholesky(1e-6 * np.eye(10) + near.T @ near))
+
+
+def test_what_long_columns_leave_beside_the_nuisances_is_not_rounding():
+    """Scenario: about a null that misses by far, effects and settings alike move the light by 1e9 sigma. Of a column
+    that is a nuisance's but for some sigma, a difference of squares keeps nothing (here it is below 0, which made the
+    probabilities of all effects no numbers). What is left is known in closed form: M⁻¹ takes 1 part of 1 + L² of the
+    nuisance's own direction and all of the others."""
+    rng = np.random.default_rng(8)
+    n, length = 60, 1e9
+    basis = np.linalg.qr(rng.normal(size=(n, 6)))[0]
+    nuisance, odd = length * basis[:, :4], basis[:, 4:]
+    columns = nuisance[:, :2] + odd * [3.0, 5.0]
+    lin = linear.Linear(odd[:, 0] * 7.0, nuisance, np.ones(4, bool), columns, ("a", "b"), np.zeros(n, int), 0.0)
+    left = np.diag([9.0 + 1.0, 25.0 + 1.0])
+    for found in (linear.marginal(lin, columns), *settings.marginals(lin, columns, np.array([1.0]))):
+        np.testing.assert_allclose(found.gram, left, rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(found.projection, [21.0, 0.0], rtol=1e-5, atol=1e-5)
+        assert found.chi2 == pytest.approx(49.0)
+
+
+def test_an_amplitude_that_others_take_up_but_for_rounding_is_not_seen_beside_them():
+    """Scenario: three columns 1e10 sigma long of which two span the third, rounded as a product of long columns is.
+    Whichever of them is one-sided or a square, its factor is that of the other two to within what the prior's own
+    volume can be."""
+    rng = np.random.default_rng(4)
+    two = rng.normal(size=(40, 2)) * 1e10
+    columns = np.column_stack([two, two @ [0.6, 0.8]])
+    gram = columns.T @ columns * (1 + 2e-16 * rng.normal(size=(3, 3)))
+    data = two @ [0.3, 0.2] * 1e-10
+    projection = columns.T @ data
+    alone = evidence.log_integral(gram[None, :2, :2], projection[None, :2], (2, 0, 0))
+    for counts in ((2, 1, 0), (2, 0, 1)):
+        found = evidence.log_integral(gram[None], projection[None], counts)
+        assert np.isfinite(found).all() and abs(found - alone) < 1.0
+
+
+def test_what_cannot_be_weighed_is_not_believed():
+    unknown = np.array([[[np.nan]]])
+    one = evidence.Term((0,), (1.0,), (1, 0, 0), 0.0)
+    assert evidence.log_factors(unknown, np.zeros((1, 1)), [one])[0, 0] == -np.inf
 
 
 def test_all_scales_at_once_are_each_scale_alone(about):

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Legendre
 from numpy.typing import NDArray
 
 from benchsim import rays, trace
@@ -56,6 +57,9 @@ Array = NDArray[np.float64]
 
 SMOOTH_DEGREE = 4
 """Of the polynomials in y and z by which the marks' scatter is judged: lens and bow are of third order at most."""
+
+ALONG = 4
+"""Degree of the polynomial along the trace by which the sigma of its width goes."""
 
 LONE = 3.0
 """A mark whose centre lies this many robust sigma off the polynomials (root mean square of both coordinates), alone
@@ -340,12 +344,14 @@ def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> di
     # Of the logarithm the mean is free of what the profiles' scatter adds to a mean of squares.
     width2 = np.exp(2 * out.pop("log_width"))
     relative = out.pop("log_width_covariance")
+    # A sigma in proportion to the datum itself would give more weight to what noise made narrower.
+    smooth = np.exp(2 * Legendre.fit(binned.weights @ s, 0.5 * np.log(width2), ALONG)(binned.weights @ s))
     px = mm_per_px(line.pose, line.points[good], line.normal[good])
     w = binned.weights
     return {
         **out,
         "width2": width2,
-        "width2_covariance": 4 * relative * np.outer(width2, width2),
+        "width2_covariance": 4 * relative * np.outer(smooth, smooth),
         "profile_points": beside(stated, w @ feet[good], w @ distance[good]),
         "profile_s": w @ s,
         "mm_per_px": w @ px,
