@@ -78,6 +78,7 @@ def test_an_amplitude_that_others_take_up_but_for_rounding_is_not_seen_beside_th
         assert np.isfinite(found).all() and abs(found - alone) < 1.0
 
 
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 def test_what_cannot_be_weighed_is_not_believed():
     unknown = np.array([[[np.nan]]])
     one = evidence.Term((0,), (1.0,), (1, 0, 0), 0.0)
