@@ -148,8 +148,11 @@ def _bounded(hessian: Array, force: Array, prior: Prior, theta: Array, p: int) -
     if len(theta) > p:
         reduced = hessian[p:, p:] - rest @ solved[:, 1:]
         pull = force[p:] - rest @ solved[:, 0]
+        largest = float(np.diag(reduced).max())
+        if not largest > 0:
+            raise np.linalg.LinAlgError("of the amplitudes' curvature only rounding is left")
         # A shape whose amplitude is 0 changes nothing: a slight ridge keeps it where it is.
-        unit = np.sqrt(np.maximum(np.diag(reduced), 0.0) + 1e-12 * max(float(np.diag(reduced).max()), 1e-300))
+        unit = np.sqrt(np.maximum(np.diag(reduced), 0.0) + 1e-12 * largest)
         scaled = reduced / unit[:, None] / unit + 1e-9 * np.eye(len(unit))
         low = np.maximum(prior.low - theta, -prior.reach)[p:] * unit
         high = np.minimum(prior.high - theta, prior.reach)[p:] * unit
