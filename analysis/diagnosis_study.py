@@ -177,7 +177,8 @@ def photographs_case(row: str, seed: int, case: int, shrink: int) -> Iterator[Pa
     rng = rng_of(seed, "photographs", row, case)
     on = stage("photographs", design(row), seed, case, shrink)
     recording = on.recording
-    truth, values = draw.conceal(row, recording, on.sight, rng)
+    drawn, values = draw.conceal(row, recording, on.sight, rng)
+    truth, values = draw.in_pixels(drawn, values, on.sight.problem.catalogue, shrink)
     # Drawn for every row, so that all take the same numbers.
     speckle = float(rng.choice(SPECKLES))
     speckle = SPECKLES[1] if row == "clean-correlated" else speckle

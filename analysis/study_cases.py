@@ -8,7 +8,7 @@ realisation renders pictures, which are read back. Benches and effects are drawn
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,19 @@ from benchsim.trial.draws import (
     draw_stranger,
 )
 
-__all__ = ["Sight", "Truth", "alone", "bench", "conceal", "element_of", "noisy", "nuisances", "plain", "visible"]
+__all__ = [
+    "Sight",
+    "Truth",
+    "alone",
+    "bench",
+    "conceal",
+    "element_of",
+    "in_pixels",
+    "noisy",
+    "nuisances",
+    "plain",
+    "visible",
+]
 
 Array = NDArray[np.float64]
 
@@ -86,6 +98,16 @@ def conceal(row: str, recording: Recording, sight: Sight, rng: np.random.Generat
         correlated=0.7 if row == "clean-correlated" else 0.0,
     )
     return truth, values
+
+
+def in_pixels(
+    truth: Truth, values: Mapping[str, float], catalogue: Collection[Effect], shrink: int
+) -> tuple[Truth, dict[str, float]]:
+    """The same on pictures of less resolution: charge that spills over three pixels spills over half as many of twice
+    the size. Left at three, it would part a line of one pixel's width into the rungs of a ladder."""
+    share = {p.name: 1 / shrink for e in catalogue for p in amplitudes(e) if p.unit == "px"}
+    effects = {n: {k: v * share.get(k, 1.0) for k, v in own.items()} for n, own in truth.effects.items()}
+    return replace(truth, effects=effects), {k: v * share.get(k, 1.0) for k, v in values.items()}
 
 
 def visible(truth: Truth, sight: Sight, values: Mapping[str, float], true: Problem | None = None) -> dict[str, Any]:
