@@ -141,7 +141,9 @@ def precision(nuisance: Array, sigma: Array, own: Array | None = None) -> tuple[
     return (upper * np.sign(np.diag(upper))[:, None]).T, True
 
 
-def beside(nuisance: Array, sigma: Array, columns: Array, product: Array, square: Array) -> Array:
+def through(
+    nuisance: Array, sigma: Array, columns: Array, factor: tuple[Array, bool], cross: Array, square: Array
+) -> Array:
     """Products of columns through M⁻¹, made anew where too little is left of a square for a difference to tell.
 
     Far from any fit columns can be some 1e8 sigma long and lie almost wholly among the nuisances': what is left of
@@ -154,13 +156,16 @@ def beside(nuisance: Array, sigma: Array, columns: Array, product: Array, square
     sigma : (p,) array
         Prior sigmas.
     columns : (n, k) array
-    product : (k, k) array
-        By subtraction.
-    square : (k,) array
-        The columns' own squares.
+    factor
+        `precision` of the nuisances.
+    cross : (p, k) array
+        The nuisances' products with the columns.
+    square : (k, k) array
+        The columns' own products.
     """
-    if not nuisance.shape[1] or (np.diag(product) >= CANCELLED * square).all():
-        return product
+    product = square - cross.T @ cho_solve(factor, cross)
+    if not nuisance.shape[1] or (np.diag(product) >= CANCELLED * np.diag(square)).all():
+        return np.asarray(product)
     basis = np.linalg.qr(np.concatenate([nuisance, np.diag(1 / sigma)]))[0]
     rest = np.concatenate([columns, np.zeros((len(sigma), columns.shape[1]))])
     for _ in range(2):
@@ -193,8 +198,7 @@ def marginal(linear: Linear, columns: Array, scale: float = 1.0, keep: NDArray[n
     n_cols, both = linear.nuisance[use], np.column_stack([linear.residual[use], columns[use]])
     s = np.where(linear.scaled, scale, 1.0)
     factor = precision(n_cols, s)
-    cross, square = n_cols.T @ both, both.T @ both
-    product = beside(n_cols, s, both, square - cross.T @ cho_solve(factor, cross), np.diag(square))
+    product = through(n_cols, s, both, factor, n_cols.T @ both, both.T @ both)
     logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum())
     whitening = linear.logdet if keep is None else 0.0
     return Marginal(product[1:, 1:], product[1:, 0], float(product[0, 0]), logdet + whitening, len(both))

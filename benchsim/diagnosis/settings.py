@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
 
-from benchsim.diagnosis.linear import Linear, Marginal, beside, precision
+from benchsim.diagnosis.linear import Linear, Marginal, precision, through
 
 Array = NDArray[np.float64]
 
@@ -39,7 +38,7 @@ def marginals(linear: Linear, columns: Array, scales: Array) -> tuple[Marginal, 
     for scale in scales:
         s = np.where(linear.scaled, scale, 1.0)
         factor = precision(linear.nuisance, s, own)
-        product = beside(linear.nuisance, s, both, square - cross.T @ cho_solve(factor, cross), np.diag(square))
+        product = through(linear.nuisance, s, both, factor, cross, square)
         logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum()) + linear.logdet
         out.append(Marginal(product[1:, 1:], product[1:, 0], float(product[0, 0]), logdet, len(both)))
     return tuple(out)

@@ -23,9 +23,14 @@ PATCH = 0.1
 """Part of what the best function gains over the null that a name beside it has to add: less may make up for what a
 function of finite resolution, taken to first order, leaves of a large misfit."""
 
-STRETCHED = 3.0
-"""Scale of the setting errors from which on no name is said: errors so much larger than stated are as improbable as one
-more thing that is missing, which they may stand for."""
+NEEDED = 0.5
+"""Part of what a name gains by itself that it has to add to a function that gains more: what adds less explains what
+the function explains, only worse."""
+
+STRETCHED = 1.5
+"""Scale of the setting errors from which on no name is said: they may stand for one more thing that is missing, or for
+a part of one that the catalogue lacks and the name resembles (canting of 17 sigma, taken out of the catalogue, was
+beam-direction with settings 1.7 to 2.1 times as far off as stated)."""
 
 MISSING = float(np.log(SURE / (1 - SURE)))
 """Δ ln Z at which a function without a name shows that something is missing."""
@@ -73,6 +78,7 @@ class Findings:
         patch = joint - function < PATCH * (function - self.null_log_evidence)
         # Beside a function that gains more than the name does, the name is the patch, however much it adds.
         patch = patch or joint - alone > alone - self.null_log_evidence
+        patch = patch or (function > alone and joint - function < NEEDED * (alone - self.null_log_evidence))
         return (alone if patch else joint) - function
 
     @property
@@ -118,6 +124,12 @@ def found(
     out, notes = [], []
     known = {e.name: e for e in problem.catalogue}
     claim = findings.claim
+    if claim is not None and findings.margin >= PROBABLE_MARGIN and not findings.stands:
+        names = " and ".join((*claim.lone, *(" or ".join(" with ".join(m) for m in c) for c in claim.classes)))
+        notes.append(
+            f"{names} would explain it beside settings {findings.scale:.1f} times as far off as stated, "
+            "which is not said: if they may be so far off, state it and diagnose again."
+        )
     for name in claim.lone if claim is not None and findings.stands else ():
         probability = hypotheses.probability([(name,)])
         said = confidence(probability, findings.margin)

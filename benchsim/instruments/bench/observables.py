@@ -345,14 +345,15 @@ def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> di
     width2 = np.exp(2 * out.pop("log_width"))
     relative = out.pop("log_width_covariance")
     # A sigma in proportion to the datum itself would give more weight to what noise made narrower.
-    smooth = np.exp(2 * Legendre.fit(binned.weights @ s, 0.5 * np.log(width2), ALONG)(binned.weights @ s))
-    px = mm_per_px(line.pose, line.points[good], line.normal[good])
     w = binned.weights
+    along = w @ s
+    smooth = np.exp(2 * Legendre.fit(along, 0.5 * np.log(width2), ALONG)(along))
+    px = mm_per_px(line.pose, line.points[good], line.normal[good])
     return {
         **out,
         "width2": width2,
         "width2_covariance": 4 * relative * np.outer(smooth, smooth),
         "profile_points": beside(stated, w @ feet[good], w @ distance[good]),
-        "profile_s": w @ s,
+        "profile_s": along,
         "mm_per_px": w @ px,
     }
