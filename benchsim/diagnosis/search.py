@@ -272,9 +272,10 @@ def _refit(
     h = _hypothesis(catalogue, effects)
     lin = source.fit.linear
     strayed = refit.strayed(context, source)
-    nodes = starts.best_nodes(context, catalogue, h, source)[: 1 if strayed else None]
     at = source.fit.values
     own_effects = source.fit.effects
+    about = starts.ground(context, source, afar=strayed and not own_effects)
+    nodes = starts.best_nodes(context, catalogue, h, about, own_effects)
     points: list[Point] = []
     for first, node in enumerate(nodes):
         amplitude: list[float] = []
@@ -284,7 +285,7 @@ def _refit(
             if e.name in own_effects and first == 0:
                 size, place = [linear.fit_value(p, at.get(p.name, 0.0)) for p in own_amplitudes], dict(at)
             elif evidence.shapes(e):
-                size, place = starts.placed(context, e, catalogue.nodes[e.name][i].shape, source)
+                size, place = starts.placed(context, e, catalogue.nodes[e.name][i].shape, about)
             else:
                 size, place = [0.0] * len(own_amplitudes), {}
             amplitude += size
@@ -299,6 +300,8 @@ def _refit(
         if not begun:
             begun = [replace(plain, amplitude=q) for q in starts.scanned(context, h, source, plain.amplitude)]
             begun = [b for b in begun if not np.array_equal(b.amplitude, plain.amplitude)]
+        if h.shapes and not own_effects:
+            begun += [points[1], plain]
         points, hold = [*begun, plain], len(begun)
         known = context.stated() or known
         if foreseen and refit.near(context, h, foreseen[0]):
@@ -398,9 +401,10 @@ def whole(context: Context, catalogue: Catalogue, null: Solved) -> Linear:
     """About the null: the amplitudes of the whole catalogue, shapes at their most probable node."""
     names: list[str] = []
     columns: list[int] = []
+    about = starts.ground(context, null)
     for effect in context.problem.catalogue:
         h = Hypothesis((effect,))
-        node = catalogue.nodes[effect.name][starts.best_nodes(context, catalogue, h, null)[0][0]]
+        node = catalogue.nodes[effect.name][starts.best_nodes(context, catalogue, h, about)[0][0]]
         names += [p.name for p in evidence.amplitudes(effect)]
         columns += node.columns
     white = context.whiten(catalogue.columns[:, columns])

@@ -8,6 +8,7 @@ plausible range of the amplitudes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
@@ -36,6 +37,34 @@ MEASURED = 0.5
 
 PLACES = 40
 """Shapes that are tried about a node, and again about the best of them."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What shapes are placed about: a point with its linearisation, the setting scale there, and by how much noise is
+    enlarged."""
+
+    linear: Linear
+    values: Mapping[str, float]
+    scale: float
+    noise: float = 1.0
+
+    def white(self, context: Context, columns: Array) -> Array:
+        """Whitened columns in that noise."""
+        return context.whiten(columns) / self.noise
+
+
+def ground(context: Context, source: Solved, afar: bool = False) -> Ground:
+    """About a fit, or ``afar``: about the stated settings with noise `AFAR` times larger.
+
+    Settings that were bent to hide what turns light at one place leave a residual that has other places and the other
+    sign. About the stated ones the place is the right one, if coarse.
+    """
+    if not afar or context.curvature is None:
+        return Ground(source.fit.linear, source.fit.values, source.fit.setting_scale)
+    residual = context.problem.data - np.concatenate(context.curvature.plain)
+    stated = {**source.fit.values, **{n.name: 0.0 for n in context.problem.nuisances}}
+    return Ground(from_afar(context, context.curvature, residual[:, None]), stated, float(context.scales[0]), AFAR)
 
 
 def scanned(context: Context, h: Hypothesis, source: Solved, amplitude: Array) -> list[Array]:
@@ -134,16 +163,15 @@ def together(context: Context) -> Effects:
 
 
 def placed(
-    context: Context, effect: Effect, node: Mapping[str, float], source: Solved
+    context: Context, effect: Effect, node: Mapping[str, float], about: Ground
 ) -> tuple[list[float], dict[str, float]]:
-    """Amplitudes and shapes near a node that explain the residual of a fit best, to first order.
+    """Amplitudes and shapes near a node that explain the residual best, to first order.
 
     A fit descends from there into the nearest peak, and a grid is too coarse to say which is the highest; without an
     amplitude shapes would have no direction to go.
     """
     own, shapes = evidence.amplitudes(effect), evidence.shapes(effect)
-    at = {**source.fit.values, **evidence.fixed(effect)}
-    lin, scale = source.fit.linear, source.fit.setting_scale
+    at = {**about.values, **evidence.fixed(effect)}
     prior = np.diag([a.sigma ** (-2.0 * a.power) for a in own])
     # A fixed seed: the same data give the same diagnosis.
     rng = np.random.default_rng(0)
@@ -156,8 +184,8 @@ def placed(
             moved = {p.name: best[p.name] + shrink * reach[p.name] * rng.uniform(-1, 1) for p in shapes}
             tried.append({p.name: float(np.clip(moved[p.name], min(p.grid), max(p.grid))) for p in shapes})
         found = linear.columns_at(context.problem, [({**at, **t}, own) for t in tried])
-        white = context.whiten(np.column_stack(found))
-        m = linear.marginal(lin, white, scale)
+        white = about.white(context, np.column_stack(found))
+        m = linear.marginal(about.linear, white, about.scale)
         for i, t in enumerate(tried):
             mine = slice(i * len(own), (i + 1) * len(own))
             inner, u = m.gram[mine, mine] + prior, m.projection[mine]
@@ -169,14 +197,19 @@ def placed(
     return bounded, best
 
 
-def best_nodes(context: Context, catalogue: Catalogue, h: Hypothesis, source: Solved) -> list[tuple[int, ...]]:
-    """Grid nodes to start from: the most probable, then the next best that differs (or the same)."""
+def best_nodes(
+    context: Context, catalogue: Catalogue, h: Hypothesis, about: Ground, there: Effects = ()
+) -> list[tuple[int, ...]]:
+    """Grid nodes to start from: the most probable, then the next best that differs (or the same).
+
+    Effects that are ``there`` already have their shapes.
+    """
     if not h.shapes:
         only = tuple(0 for _ in h.effects)
         return [only, only]
-    new = [e for e in h.effects if e.name not in source.fit.effects]
+    new = [e for e in h.effects if e.name not in there]
     terms = screen.hypothesis_terms(catalogue, tuple(e.name for e in new), {})
-    many = settings.marginals(source.fit.linear, context.whiten(catalogue.columns), context.scales)
+    many = settings.marginals(about.linear, about.white(context, catalogue.columns), context.scales)
     gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
     log_z = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
     log_z = logsumexp(log_z + settings.log_null(many, context.weights)[:, None], axis=0)
