@@ -1,4 +1,4 @@
-"""Warm air at one place of the path, whose null bends the settings to hide it: the place is sought about those stated."""
+"""Warm air at one place of the path, hidden by settings of many sigma: its place is sought about the stated ones."""
 
 from dataclasses import replace
 from pathlib import Path
