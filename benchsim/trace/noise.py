@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 FALSE_ALARM = 1e-3
 """Chance that noise alone discards one profile of a ridge, per test."""
 
+LEAST_POWER = 0.02
+"""Of white noise of the same variance, that correlated noise keeps at every frequency: what no datum is free of."""
+
 
 @dataclass(frozen=True)
 class PixelNoise:
@@ -131,9 +134,33 @@ def centre_noise(t: Array, offset: Array, sigma: Array, basis: Array, longest: i
         if value < 3.0 / np.sqrt(pairs.sum()):
             break
         rho[lag] = value
+    rho = _possible(rho)
     inflation = 1 + 2 * rho[1:].sum()
     scale2 = float(pull @ pull) / max(k - rank * inflation, 0.5 * k)
     return CentreNoise(np.sqrt(scale2), np.sqrt(scale2 * inflation / (2 * max(k - rank, 1))), rho)
+
+
+def _possible(rho: Array) -> Array:
+    """A correlation that noise may have: cut off where it is no longer significant, the measured one need not be.
+
+    The spectrum of noise, 1 + 2 Σ ρ_l cos(l ω), is nowhere negative, or some sum of the data would have a negative
+    variance. Where a sudden end of ρ makes it so, ρ is tapered as by Bartlett's window, which no autocovariance over
+    n data survives with a negative spectrum (Newey and West 1987, doi:10.2307/1913610); what is left after that, by
+    gaps and the correction for the smooth curve, by a common factor.
+    """
+    reach = int(np.flatnonzero(rho)[-1])
+    omega = np.linspace(0, np.pi, 16 * len(rho))
+
+    def lowest(r: Array) -> float:
+        return float(np.min(1 + 2 * np.cos(np.outer(omega, np.arange(1, len(r)))) @ r[1:]))
+
+    if lowest(rho) >= LEAST_POWER:
+        return rho
+    rho = rho * np.clip(1 - np.arange(len(rho)) / (reach + 1), 0, None)
+    least = lowest(rho)
+    if least < LEAST_POWER:
+        rho[1:] *= (1 - LEAST_POWER) / (1 - least)
+    return rho
 
 
 def spline_basis(t: Array, span: tuple[float, float], step: float) -> Array:

@@ -162,3 +162,18 @@ def test_scatter_and_correlation_of_centres(mixing):
     assert abs(noise.scale - 1.3) < 5 * noise.scale_sigma
     first = noise.correlation[1]
     assert first == 0 if mixing == 0 else abs(first - 0.4) < 0.1
+
+
+@pytest.mark.parametrize("period", [9.0, 14.0, 60.0])
+def test_correlation_of_a_ripple_is_that_of_some_noise(period):
+    """Centres that a ripple of the screen moves by ten times their noise, in a period shorter than the smooth curve can
+    follow: the measured correlation is high where it ceases to be looked at or to be positive. Laid out for the
+    profiles it must be a covariance, positive definite, and it must still say that neighbours err together."""
+    rng = np.random.default_rng(11)
+    t = np.arange(900.0)
+    offset = 0.2 * np.sin(2 * np.pi * t / period) + 0.02 * rng.normal(size=900)
+    noise = centre_noise(t, offset, np.full(900, 0.02), spline_basis(t, (0, 899.0), 40.0))
+    rho = np.zeros(900)
+    rho[: len(noise.correlation)] = noise.correlation
+    assert np.linalg.eigvalsh(rho[np.abs(np.subtract.outer(t, t)).astype(int)]).min() > 0
+    assert noise.correlation[1] > 0.3
