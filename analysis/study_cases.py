@@ -28,6 +28,7 @@ from benchsim.trial.draws import (
     bench,
     draw_effect,
     draw_stranger,
+    possible,
 )
 
 __all__ = [
@@ -84,7 +85,7 @@ def conceal(row: str, recording: Recording, sight: Sight, rng: np.random.Generat
     effects: dict[str, dict[str, float]] = {}
     for i in rng.choice(len(catalogue), COUNT.get(row, 0), replace=False):
         effect = catalogue[int(i)]
-        drawn = draw_effect(sight, effect, rng)
+        drawn = possible(draw_effect(sight, effect, rng), recording)
         values |= drawn
         effects |= as_effects(drawn, effect)
     stranger = STRANGERS[int(rng.integers(len(STRANGERS)))] if row == "stranger" else ""

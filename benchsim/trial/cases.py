@@ -167,7 +167,7 @@ def drawn(recording: Recording, kind: str, withheld: tuple[str, ...], rng: np.ra
     effects: dict[str, dict[str, float]] = {}
     bands = [(30.0, 90.0), (6.0, 10.0)] if kind == "below-another" else [draws.SNR] * count
     for i, band in zip(rng.choice(len(own), count, replace=False), bands, strict=True):
-        values = draws.draw_effect(sight, own[int(i)], rng, band)
+        values = draws.possible(draws.draw_effect(sight, own[int(i)], rng, band), recording)
         if kind == "below-the-settings":
             values = draws.below_the_settings(sight, own[int(i)], values, rng)
         effects |= draws.as_effects(values, own[int(i)])

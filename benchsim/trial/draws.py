@@ -37,6 +37,9 @@ STRANGER_ELEMENT = {
 SNR = (6.0, 60.0)
 """Whitened norms that are aimed at, log-uniform."""
 
+NEAREST = 0.8
+"""Part of the mirror's radius by which a concealed offset may bring its facets nearer to the axis."""
+
 
 def campaign() -> Recording:
     """The bench of twelve settings that comes with the package, from which benches are drawn."""
@@ -208,6 +211,15 @@ def draw_effect(
     factor = 0.2 * (target / max(size, 1e-12)) ** (1.0 / power)
     factor = min(factor, 1.0 / max(float(np.abs(direction).max()), 1e-12))
     return {**at, **{p.name: float(factor * d * c) for p, d, c in zip(own, direction, cap, strict=True)}}
+
+
+def possible(values: Mapping[str, float], recording: Recording) -> dict[str, float]:
+    """The same values, ``dr`` with its sign turned where it would put a facet on the axis or behind it.
+
+    Its cap is wider than the bench's mirror; such a mirror reflects nothing that could be photographed.
+    """
+    behind = values.get("dr", 0.0) < -NEAREST * recording.mirror.radius
+    return {k: -v if behind and k == "dr" else v for k, v in values.items()}
 
 
 def below_the_settings(

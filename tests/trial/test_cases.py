@@ -29,6 +29,13 @@ def accepted(recording):
     catalogue.check(recording)
 
 
+def test_no_offset_is_drawn_that_puts_the_facets_behind_the_axis(bench):
+    r = bench.mirror.radius
+    assert draws.possible({"dr": -1.01 * r, "pyr": -2.0}, bench) == {"dr": 1.01 * r, "pyr": -2.0}
+    assert draws.possible({"dr": -0.7 * r}, bench) == {"dr": -0.7 * r}
+    assert draws.possible({"sx": -3.0}, bench) == {"sx": -3.0}
+
+
 def test_every_effect_is_drawn_as_generator_and_judge_take_it(bench, sight):
     for k, effect in enumerate(sight.problem.catalogue):
         values = draws.draw_effect(sight, effect, np.random.default_rng(k), (5.0, 9.0))
