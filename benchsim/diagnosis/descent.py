@@ -271,6 +271,14 @@ def promised_by(context: Context, h: Hypothesis, prior: Prior, state: State, kno
 
 
 def descend(
+    context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array, columns_at: Columns
+) -> tuple[State, Array]:
+    """To the minimum that stated settings lead to (`follow`); also the own columns there."""
+    state, own, exact = follow(context, h, prior, state, known, own, columns_at)
+    return state, own if exact else columns_at(state.theta)
+
+
+def follow(
     context: Context,
     h: Hypothesis,
     prior: Prior,
@@ -282,8 +290,8 @@ def descend(
     tempered: bool = True,
     renewals: int | None = None,
     least: float = DESCENT,
-) -> tuple[State, Array]:
-    """To the minimum that stated settings lead to; also the own columns there.
+) -> tuple[State, Array, bool]:
+    """To the minimum that stated settings lead to; also the own columns there, and whether they are exact.
 
     A residual of a thousand sigma says nothing about directions that nearly cancel: exact noise would follow the
     model's own errors along them. So noise is first taken as large as the residual, and falls as the second-order model
@@ -320,7 +328,7 @@ def descend(
             s = max(1.0, s / COOLING)
         if s == 1.0 and promise < 0.5 * (STILL + 0.02 * excess(white)):
             break
-    return state, own if exact else columns_at(state.theta)
+    return state, own, exact
 
 
 def _own_carried(model: _Model, own: Array, step: Array, columns_at: Columns, theta: Array) -> tuple[Array, bool]:
@@ -342,7 +350,7 @@ def held(context: Context, h: Hypothesis, prior: Prior, state: State, known: Kno
     loose = np.arange(len(state.theta)) >= p
     free = replace(prior, precision=np.where(loose, 0.0, prior.precision), slope=np.where(loose, 0.0, prior.slope))
     start = replace(state, cost=cost_of(context, h, free, state.theta)[0])
-    return descend(context, h, free, start, known, nothing, lambda theta: nothing)[0]
+    return follow(context, h, free, start, known, nothing, lambda theta: nothing)[0]
 
 
 def begin(context: Context, h: Hypothesis, prior: Prior, point: Point) -> State:

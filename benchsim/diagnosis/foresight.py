@@ -9,15 +9,16 @@ hypotheses, and is where their fits begin. Not an evidence to claim anything by:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis import descent, evidence, refit
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, values
+from benchsim.diagnosis.hypothesis import Context, Count, Hypothesis, Mixed, Point, values
 
 Array = NDArray[np.float64]
 
@@ -54,11 +55,16 @@ class Foretold:
     points: tuple[Point, ...]
 
 
-class End(NamedTuple):
-    """Where a descent ended, and the amplitudes' columns there."""
-
-    state: descent.State
-    own: Array
+def foretell_all(context: Context, hypotheses: Sequence[Hypothesis]) -> list[Foretold | None]:
+    """`foretell` of each, through `Problem.spread`; what is measured for them is kept in the context."""
+    # A pool cannot be sent to another process, nor perhaps ``further``; attachments are large.
+    sent = replace(context, problem=replace(context.problem, spread=map, further=None, attachments=()))
+    out: list[Foretold | None] = []
+    for found, mixed, predictions in context.problem.spread(partial(_apart, sent), hypotheses):
+        out.append(found)
+        context.mixed.update(mixed)
+        context.count.predictions += predictions
+    return out
 
 
 def foretell(context: Context, h: Hypothesis) -> Foretold | None:
@@ -84,30 +90,37 @@ def foretell(context: Context, h: Hypothesis) -> Foretold | None:
     def columns_at(theta: Array) -> Array:
         return context.columns(values(context.problem, h, descent.point_of(theta, p, k)), h.amplitudes)
 
-    def followed(end: End, renewals: int) -> End:
-        there = descent.descend(
-            context, h, prior, end.state, stated, end.own, columns_at, tempered=False, renewals=renewals, least=LEAST
-        )
-        return End(*there)
+    def followed(state: descent.State, renewals: int) -> descent.State:
+        own = columns_at(state.theta)
+        return descent.follow(
+            context, h, prior, state, stated, own, columns_at, tempered=False, renewals=renewals, least=LEAST
+        )[0]
 
     begun = (descent.begin(context, h, prior, descent.point_of(np.append(np.zeros(p), q), p, k)) for q in _begun(h))
-    ends = [followed(End(state, columns_at(state.theta)), 1) for state in begun if np.isfinite(state.cost)]
-    ends = _valleys([followed(end, LOOKS) for end in _valleys(ends, p)], p)[:VALLEYS]
+    ends = [followed(state, 1) for state in begun if np.isfinite(state.cost)]
+    ends = _valleys([followed(state, LOOKS) for state in _valleys(ends, p)], p)[:VALLEYS]
     if not ends:
         return None
-    state, own = ends[0]
+    state, own = ends[0], columns_at(ends[0].theta)
     point = descent.point_of(state.theta, p, k)
     known = descent.carried(context, h, stated, state.theta)
     lin = refit.about(context, h, point, state.residual, known, own)
     log_z = refit.log_evidence(context, lin, lin.effect, terms)
-    return Foretold(log_z, tuple(descent.point_of(end.state.theta, p, k) for end in ends))
+    return Foretold(log_z, tuple(descent.point_of(end.theta, p, k) for end in ends))
 
 
-def _valleys(ends: list[End], p: int) -> list[End]:
+def _apart(context: Context, h: Hypothesis) -> tuple[Foretold | None, Mixed, int]:
+    """`foretell`, what was measured for it, and the predictions that it took."""
+    own = replace(context, mixed=dict(context.mixed), count=Count())
+    found = foretell(own, h)
+    return found, {k: change for k, change in own.mixed.items() if k not in context.mixed}, own.count.predictions
+
+
+def _valleys(ends: list[descent.State], p: int) -> list[descent.State]:
     """The lowest of every combination of the amplitudes' signs, the lowest of all first."""
-    lowest: dict[bytes, End] = {}
-    for end in sorted(ends, key=lambda end: end.state.cost):
-        lowest.setdefault(np.sign(end.state.theta[p:]).tobytes(), end)
+    lowest: dict[bytes, descent.State] = {}
+    for end in sorted(ends, key=lambda end: end.cost):
+        lowest.setdefault(np.sign(end.theta[p:]).tobytes(), end)
     return list(lowest.values())
 
 

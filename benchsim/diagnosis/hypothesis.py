@@ -17,13 +17,13 @@ from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
 Array = NDArray[np.float64]
 Change = tuple[Array, Array] | None
+Mixed = dict[tuple[str, tuple[tuple[str, float], ...]], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class Whitener:
     """Cholesky factors of the blocks' covariances."""
 
-    problem: Problem
     lower: tuple[Array, ...]
     logdet: float
 
@@ -32,10 +32,10 @@ class Whitener:
         return linear.lowered(self.lower, columns)
 
 
-def whitener(problem: Problem, covariance: Sequence[Array]) -> Whitener:
+def whitener(covariance: Sequence[Array]) -> Whitener:
     """Factorise once."""
     lower = linear.factors(covariance)
-    return Whitener(problem, lower, float(2 * sum(np.log(np.diag(low)).sum() for low in lower)))
+    return Whitener(lower, float(2 * sum(np.log(np.diag(low)).sum() for low in lower)))
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Context:
     scales: Array
     weights: Array
     curvature: Curvature | None = None
-    mixed: dict[tuple[str, tuple[tuple[str, float], ...]], tuple[Array, Array]] = field(default_factory=dict)
+    mixed: Mixed = field(default_factory=dict)
     bent: list[Array] = field(default_factory=list)
     count: Count = field(default_factory=Count)
 

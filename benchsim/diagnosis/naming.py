@@ -105,7 +105,7 @@ def _check(problem: Problem) -> None:
 
 
 def _context(problem: Problem, found: Noise, bends: Curvature) -> Context:
-    return Context(problem, whitener(problem, found.covariance), *settings.grid(), bends)
+    return Context(problem, whitener(found.covariance), *settings.grid(), bends)
 
 
 def _starts(point: Point) -> list[Point]:

@@ -180,8 +180,8 @@ class Problem:
         Whether somebody stated the sigma of the scaled nuisances: a name that asks for errors several times as large is
         then not said. False where they are a guess.
     spread : callable
-        ``map`` for independent predictions; a pool's ``map`` uses more cores. Called as spread(predict, values,
-        blocks).
+        ``map`` for independent pieces of work, predictions above all; a pool's ``map`` uses more cores. What it is
+        called with can be pickled if ``predict`` can.
     """
 
     data: Array

@@ -119,7 +119,7 @@ def search(
         source = done[table.source.get(pick, ())]
         if bent and looks < LOOKS and source is null and pick not in table.begin:
             looks += 1
-            _foresee(context, catalogue, pick, table)
+            _foresee(context, catalogue, [pick], table)
             continue
         tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * min(tried / refits, 1.0))
         tried += 1
@@ -213,19 +213,19 @@ def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_
         log_z[effects] = max(log_z[effects], log_z[()] + z - far[()])
 
 
-def _foresee(context: Context, catalogue: Catalogue, effects: Effects, table: Table) -> None:
+def _foresee(context: Context, catalogue: Catalogue, some: Sequence[Effects], table: Table) -> None:
     """Weigh by foresight, where it can say, in place of what a strayed fit's linearisation said."""
-    found = foresight.foretell(context, _hypothesis(catalogue, effects))
-    table.begin[effects] = () if found is None else found.points
-    if found is not None:
-        table.log_z[effects] = found.log_evidence + screen.log_prior(effects, list(catalogue.effects))
+    foretold = foresight.foretell_all(context, [_hypothesis(catalogue, effects) for effects in some])
+    for effects, found in zip(some, foretold, strict=True):
+        table.begin[effects] = () if found is None else found.points
+        if found is not None:
+            table.log_z[effects] = found.log_evidence + screen.log_prior(effects, list(catalogue.effects))
 
 
 def _foresee_all(context: Context, catalogue: Catalogue, table: Table) -> None:
     """Single effects by foresight; by as much as one of them falls, pairs that it is in were weighed too high."""
     screened = dict(table.log_z)
-    for name in catalogue.effects:
-        _foresee(context, catalogue, (name,), table)
+    _foresee(context, catalogue, [(name,) for name in catalogue.effects], table)
     fall = {name: min(0.0, table.log_z[(name,)] - screened[(name,)]) for name in catalogue.effects}
     for effects in screened:
         if len(effects) > 1:

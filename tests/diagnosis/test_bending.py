@@ -6,6 +6,7 @@ data's noise. About the stated settings the prediction bends a little with s; be
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -75,7 +76,7 @@ def test_a_start_is_sought_with_the_settings_columns_that_it_has_beside_the_effe
     """Scenario: settings 1.2 sigma off shear the aberration. With the columns of the stated bench the right size
     misses the data by many times the enlarged noise that is to cover what first order leaves; with its own it fits."""
     made = problem(TRUTH)
-    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
     point = Point(np.zeros(4), np.zeros(0), np.zeros(0))
     fit = Fit((), 0.0, {}, {}, np.zeros((0, 0)), 1.0, 0.0, False, linearise(made, {}, ()))
     null = Solved(fit, point, Known(context.curvature.first, point.nuisance), np.zeros((80, 0)), made.data)
@@ -92,7 +93,7 @@ def test_foresight_ranks_and_sizes_without_a_fit():
     the stated settings tell it from a slant, and its size; with one amplitude a fit has two valleys at most to begin
     in."""
     made = problem(TRUTH)
-    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
     right, wrong = (foresight.foretell(context, Hypothesis((e,))) for e in CATALOGUE)
     assert right.log_evidence > wrong.log_evidence + 100
     assert abs(right.points[0].amplitude[0] - TRUTH["q"]) < 0.05
@@ -108,7 +109,7 @@ def test_foresight_comes_near_what_the_fit_finds(q):
     which a search leaves hypotheses out."""
     truth = {"q": q, "s0": 0.33, "s1": -0.31, "o0": 1.8, "o1": -2.2}
     made = problem(truth)
-    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
     foretold = foresight.foretell(context, Hypothesis(CATALOGUE[:1]))
     found = next(f for f in naming.name(made).fits if f.effects == ("aberration",))
     fitted = found.log_evidence - screen.log_prior(found.effects, [e.name for e in CATALOGUE])
@@ -132,7 +133,7 @@ def test_foresight_comes_near_the_fit_of_a_blur_that_is_a_tenth_of_what_it_may_b
     truth = {"even": 0.15, "s0": 0.2, "s1": -0.2, "o0": 0.6, "o1": 0.4}
     made = replace(problem({}), catalogue=BLURS, predict=blurred)
     made = replace(made, data=predict_all(made, truth) + NOISE * np.random.default_rng(0).standard_normal(80))
-    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
     found = {f.effects: f for f in naming.name(made).fits}
     for effect in BLURS:
         foretold = foresight.foretell(context, Hypothesis((effect,)))
@@ -153,16 +154,39 @@ def test_foresight_finds_the_valley_of_a_size_at_its_cap(monkeypatch):
     )
     truth = {"a": 2.2, "s0": 0.1, "s1": -0.1, "o0": 0.8, "o1": -1.2}
     made = replace(made, data=predict_all(made, truth) + NOISE * np.random.default_rng(0).standard_normal(80))
-    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
     found = foresight.foretell(context, Hypothesis(made.catalogue))
     assert abs(found.points[0].amplitude[0] - 2.2) < 0.02
     monkeypatch.setattr(foresight, "SIZES", (1.0,))
     assert foresight.foretell(context, Hypothesis(made.catalogue)).log_evidence < found.log_evidence - 100
 
 
+def test_foresight_in_other_processes_is_the_same():
+    """Scenario: a pool takes one effect each. What a process has measured, and the predictions it took, come back."""
+    sent = []
+
+    def elsewhere(function, tasks):
+        sent.append(pickle.dumps(function))
+        return [pickle.loads(pickle.dumps(pickle.loads(sent[0])(pickle.loads(pickle.dumps(t))))) for t in tasks]
+
+    made = problem(TRUTH)
+    bends = curvature.measure(made)
+    here, there = (
+        Context(replace(made, spread=spread, further=lambda: ()), whitener(made.covariance), *settings.grid(), bends)
+        for spread in (map, elsewhere)
+    )
+    hypotheses = [Hypothesis((e,)) for e in CATALOGUE]
+    expected, found = (foresight.foretell_all(c, hypotheses) for c in (here, there))
+    assert sent
+    assert [f.log_evidence for f in found] == [f.log_evidence for f in expected]
+    assert here.mixed.keys() == there.mixed.keys() != set()
+    assert here.count == there.count
+    assert [f.log_evidence for f in found] == [foresight.foretell(here, h).log_evidence for h in hypotheses]
+
+
 def test_foresight_says_when_it_cannot():
     made = problem(TRUTH)
-    without = Context(made, whitener(made, made.covariance), *settings.grid())
+    without = Context(made, whitener(made.covariance), *settings.grid())
     assert foresight.foretell(without, Hypothesis(CATALOGUE[:1])) is None
     context = replace(without, curvature=curvature.measure(made))
     place = Parameter("q_place", "1", sigma=1.0, grid=(0.0, 1.0))
@@ -183,7 +207,7 @@ def test_a_null_in_the_wrong_valley_is_led_out_by_the_best_effect():
     """Scenario: settings off by three sigma and nothing else. The null ended elsewhere, 20 in ln Z too low; an effect
     that is not there was fitted with the right settings and would be named for them."""
     made = problem({"s0": 0.33, "s1": -0.31, "o0": 1.8, "o1": -2.2})
-    context = Context(made, whitener(made, made.covariance), *settings.grid(), curvature.measure(made))
+    context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
     catalogue = screen.expand(made, {})
 
     def fitted(effects, point):

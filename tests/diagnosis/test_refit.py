@@ -12,7 +12,7 @@ BY_NAME = {e.name: e for e in lines.CATALOGUE}
 
 
 def context_of(problem):
-    return Context(problem, whitener(problem, problem.covariance), *settings.grid())
+    return Context(problem, whitener(problem.covariance), *settings.grid())
 
 
 def known_at_zero(problem):
@@ -116,7 +116,7 @@ def test_a_frozen_jacobian_would_name_wrongly():
     for seed in range(3):
         problem, _ = lines.problem({"turn": 1.0}, seed=seed)
         named = naming.name(problem)
-        context = Context(problem, whitener(problem, named.noise.covariance), named.setting_scales, named.scale_weights)
+        context = Context(problem, whitener(named.noise.covariance), named.setting_scales, named.scale_weights)
         catalogue = screen.expand(problem, named.null.values)
         frozen = screen.screen(
             named.null.linear, catalogue, context.whiten(catalogue.columns), context.scales, context.weights
