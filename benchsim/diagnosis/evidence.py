@@ -177,6 +177,8 @@ def _halves(gram: Array, b: Array, lines: int, squares: int) -> Array:
     # The last is integrated by quadrature about the constrained peak, the others inside it.
     slope = b - 0.5 * (np.arange(count) >= lines)
     curvature = gram + np.diag((np.arange(count) < lines) + 1e-9)
+    # Of two that look alike the priors' own curvature may be less than the rounding of their squares.
+    curvature = curvature + ROUNDING * gram * np.eye(count)
     peak, sd = _constrained_peak(curvature, slope)
     above = peak + 8 * sd
     if count == 1:

@@ -78,6 +78,17 @@ def test_an_amplitude_that_others_take_up_but_for_rounding_is_not_seen_beside_th
         assert np.isfinite(found).all() and abs(found - alone) < 1.0
 
 
+def test_two_squares_that_look_alike_are_weighed_however_long_their_columns_are():
+    """Scenario: facets' tilts and their wobble widen the line alike; beside a null that misses by far each is 1e5 sigma
+    long. Only their sum shows, so that the evidence falls by the ratio of lengths: by ln 10 for each ten."""
+    alike = np.ones((2, 2))
+    found = [
+        evidence.log_integral(a * alike[None], 0.3 * a * alike[:1], (0, 0, 2))[0] - a * 0.3**2 / 2
+        for a in (1e4, 1e6, 1e8, 1e10)
+    ]
+    np.testing.assert_allclose(np.diff(found), -np.log(10), atol=0.3)
+
+
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 def test_what_cannot_be_weighed_is_not_believed():
     unknown = np.array([[[np.nan]]])
