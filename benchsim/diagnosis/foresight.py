@@ -9,7 +9,7 @@ hypotheses, and is where their fits begin. Not an evidence to claim anything by:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -36,6 +36,9 @@ LOOKS = 8
 """Models that are followed after the first, each about the end of the last: settings some sigma off, and effects at a
 prior sigma, are ten thousand sigma in the data, and their third order is hundreds."""
 
+FEWER = 3
+"""The same beside amplitudes that are there: those only rank what is fitted next."""
+
 LOOSE = 1
 """Which of the grid's setting scales a descent has, the first but the stated one: beside the right effect settings are
 off as stated. Looser ones wander to seven sigma, where the effect's size no longer matters."""
@@ -55,25 +58,30 @@ class Foretold:
     points: tuple[Point, ...]
 
 
-def foretell_all(context: Context, hypotheses: Sequence[Hypothesis]) -> list[Foretold | None]:
+def foretell_all(
+    context: Context, hypotheses: Sequence[Hypothesis], there: Mapping[str, float] | None = None
+) -> list[Foretold | None]:
     """`foretell` of each, through `Problem.spread`; what is measured for them is kept in the context."""
     # A pool cannot be sent to another process, nor perhaps ``further``; attachments are large.
     sent = replace(context, problem=replace(context.problem, spread=map, further=None, attachments=()))
     out: list[Foretold | None] = []
-    for found, mixed, predictions in context.problem.spread(partial(_apart, sent), hypotheses):
+    for found, mixed, predictions in context.problem.spread(partial(_apart, sent, there or {}), hypotheses):
         out.append(found)
         context.mixed.update(mixed)
         context.count.predictions += predictions
     return out
 
 
-def foretell(context: Context, h: Hypothesis) -> Foretold | None:
+def foretell(context: Context, h: Hypothesis, there: Mapping[str, float] | None = None) -> Foretold | None:
     """Descend from the stated settings, amplitudes at some sizes (`SIZES`) of either sign, or also faint (`FAINT`).
 
     Parameters
     ----------
     context : Context
     h : Hypothesis
+    there : mapping, optional
+        Amplitudes, in fit space, that begin where another fit has them; the others then begin at one size, and less far
+        is looked.
 
     Returns
     -------
@@ -96,23 +104,30 @@ def foretell(context: Context, h: Hypothesis) -> Foretold | None:
             context, h, prior, state, stated, own, columns_at, tempered=False, renewals=renewals, least=LEAST
         )[0]
 
-    begun = (descent.begin(context, h, prior, descent.point_of(np.append(np.zeros(p), q), p, k)) for q in _begun(h))
+    begun = (
+        descent.begin(context, h, prior, descent.point_of(np.append(np.zeros(p), q), p, k))
+        for q in _begun(h, there or {})
+    )
     ends = [followed(state, 1) for state in begun if np.isfinite(state.cost)]
-    ends = _valleys([followed(state, LOOKS) for state in _valleys(ends, p)], p)[:VALLEYS]
+    looks = FEWER if there else LOOKS
+    ends = _valleys([followed(state, looks) for state in _valleys(ends, p)], p)[:VALLEYS]
     if not ends:
         return None
     state, own = ends[0], columns_at(ends[0].theta)
     point = descent.point_of(state.theta, p, k)
     known = descent.carried(context, h, stated, state.theta)
     lin = refit.about(context, h, point, state.residual, known, own)
-    log_z = refit.log_evidence(context, lin, lin.effect, terms)
+    # What is sought beside others is what lets settings be as stated.
+    few = slice(LOOSE + 1) if there else slice(None)
+    judged = replace(context, scales=context.scales[few], weights=context.weights[few])
+    log_z = refit.log_evidence(judged, lin, lin.effect, terms)
     return Foretold(log_z, tuple(descent.point_of(end.theta, p, k) for end in ends))
 
 
-def _apart(context: Context, h: Hypothesis) -> tuple[Foretold | None, Mixed, int]:
+def _apart(context: Context, there: Mapping[str, float], h: Hypothesis) -> tuple[Foretold | None, Mixed, int]:
     """`foretell`, what was measured for it, and the predictions that it took."""
     own = replace(context, mixed=dict(context.mixed), count=Count())
-    found = foretell(own, h)
+    found = foretell(own, h, there)
     return found, {k: change for k, change in own.mixed.items() if k not in context.mixed}, own.count.predictions
 
 
@@ -124,13 +139,19 @@ def _valleys(ends: list[descent.State], p: int) -> list[descent.State]:
     return list(lowest.values())
 
 
-def _begun(h: Hypothesis) -> list[Array]:
-    axes: list[tuple[float, ...]] = []
+def _begun(h: Hypothesis, there: Mapping[str, float]) -> list[Array]:
+    """Amplitudes to begin at, those that are ``there`` as they are."""
+    axes: list[tuple[tuple[float, bool], ...]] = []
     for e in h.effects:
         own = evidence.amplitudes(e)
         for a in own:
             q = a.sigma**a.power
+            if a.name in there:
+                axes.append(((there[a.name], False),))
+                continue
             # What has a power is seen at a tenth of a prior sigma, where widths bend otherwise than at a whole one.
             faint = (FAINT * q,) if a.power > 1 else ()
-            axes.append((0.0,) if len(own) > SIDES else (*faint, q) if evidence.kind(a) else (-q, q))
-    return [size * np.array(q) for size in SIZES for q in product(*axes)]
+            mine = (0.0,) if len(own) > SIDES else (*faint, q) if evidence.kind(a) else (-q, q)
+            axes.append(tuple((size, True) for size in mine))
+    sizes = (1.0,) if there else SIZES
+    return [np.array([x * (s if free else 1.0) for x, free in point]) for s in sizes for point in product(*axes)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from benchsim.diagnosis import attachments, classes, evidence, location, remainder, verdict
 from benchsim.diagnosis.attachments import Attached
 from benchsim.diagnosis.classes import Claim, Space, Weighed
-from benchsim.diagnosis.fits import Fit, Naming
+from benchsim.diagnosis.fits import Effects, Fit, Naming
 from benchsim.diagnosis.linear import Linear, marginal, predict_all, whiten
 from benchsim.diagnosis.location import Explanation
 from benchsim.diagnosis.problem import Problem
@@ -105,6 +106,9 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
     if not fits:
         return null
     fit = max(fits.values(), key=lambda f: f.log_evidence)
+    plain = _unstretched(problem, fit, fits.values())
+    if plain is not None:
+        return _or_settings(problem, naming, plain, fit, notes)
     while fit.effects:
         linear = classes.about(naming.linear, fit)
         within = classes.space(problem, linear, fit.setting_scale)
@@ -114,6 +118,8 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
         if kept == fit.effects:
             claim = classes.claim(hypotheses, fit.effects, signal, within)
             return Best(fit, claim, hypotheses, linear, within)
+        if kept in fits and _unstretched(problem, fits[kept], [fit]) is not None:
+            return _or_settings(problem, naming, fit, fits[kept], notes)
         dropped = [e for e in fit.effects if e not in kept]
         if not kept:
             break
@@ -124,6 +130,48 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
             return Best(fit, claim, hypotheses, linear, within)
         fit = fits[kept]
     return null
+
+
+def _stretched(problem: Problem, fit: Fit) -> bool:
+    return problem.stated and fit.setting_scale >= verdict.STRETCHED
+
+
+def _unstretched(problem: Problem, fit: Fit, others: Iterable[Fit]) -> Fit | None:
+    """Where a fit needs settings further off than names are said on: the best that holds its effects and one more,
+    with settings as stated, if it is about as probable."""
+    if not fit.effects or not _stretched(problem, fit):
+        return None
+    found = [
+        f
+        for f in others
+        if set(f.effects) > set(fit.effects)
+        and len(f.effects) == len(fit.effects) + 1
+        and not _stretched(problem, f)
+        and f.log_evidence > fit.log_evidence - np.log(classes.LIKELY / (1 - classes.LIKELY))
+    ]
+    return max(found, key=lambda f: f.log_evidence, default=None)
+
+
+def _or_settings(problem: Problem, naming: Naming, fit: Fit, stretched: Fit, notes: list[str]) -> Best:
+    """A claim that leaves open whether its last effect is there, or settings are further off than stated instead."""
+    (more,) = set(fit.effects) - set(stretched.effects)
+    linear = classes.about(naming.linear, fit)
+    within = classes.space(problem, linear, fit.setting_scale)
+    signal = classes.amplitude_vector(problem, naming.linear.names, fit)
+    hypotheses = classes.complete(classes.weighed(naming), fit.effects, within)
+    # What lacks the effect stands beside the same with it: that the settings may do its part is said once.
+    known = {frozenset(h) for h in hypotheses.log_evidence}
+    kept = {h: z for h, z in hypotheses.log_evidence.items() if more in h or frozenset((*h, more)) not in known}
+    claim = classes.claim(replace(hypotheses, log_evidence=kept), fit.effects, signal, within)
+    first = stretched.log_evidence > fit.log_evidence
+    if more in claim.lone:
+        pair: tuple[Effects, ...] = ((), (more,)) if first else ((more,), ())
+        claim = replace(claim, lone=tuple(e for e in claim.lone if e != more), classes=(*claim.classes, pair))
+    notes.append(
+        f"Settings {stretched.setting_scale:.1f} times as far off as stated would do in place of {more}: if they may "
+        "be so far off, state it and diagnose again."
+    )
+    return Best(fit, claim, hypotheses, linear, within)
 
 
 def _beside(problem: Problem, naming: Naming, best: Best, laid: Attached) -> Best:

@@ -20,7 +20,8 @@ from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, whitener
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.screen import Catalogue
-from benchsim.diagnosis.search import MOST, Table, search, whole
+from benchsim.diagnosis.search import MOST, search
+from benchsim.diagnosis.weighing import Table, whole
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -1,0 +1,235 @@
+"""What the best fit of a search is held against before it is believed, where the data bend.
+
+Fits that bend have valleys, and a search that grows from one fit to the next ends in the valley that it began in. The
+best set is fitted once more without each of its effects and with amplitudes of the other sign; sets that share all but
+one effect with it, and were lost, are begun again from where it found its way. Where even the best left the stated
+settings or misses the data, what else came near by itself is put beside it, and every other single effect is sought
+beside it from the stated settings (`foresight`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim.diagnosis import evidence, foresight, refit, screen
+from benchsim.diagnosis.attempt import attempt
+from benchsim.diagnosis.fits import LARGEST, Effects
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, values
+from benchsim.diagnosis.linear import fit_value
+from benchsim.diagnosis.problem import Effect, Parameter
+from benchsim.diagnosis.screen import Catalogue
+from benchsim.diagnosis.weighing import Table, hypothesis_of, log_z_about, weigh_again
+
+Array = NDArray[np.float64]
+
+REACH = 30.0
+"""ln Z behind the best up to which the set without one of its effects is fitted anew: linearised about the larger set,
+a coma without the astigmatism that stood in for half of it was weighed 16 too low."""
+
+GAIN = 0.5
+"""ln Z by which a fit begun again has to be better to take the old one's place."""
+
+JOINED, GROWN, EXCHANGED = 2, 2, 2
+"""Most sets that are fitted where the best strayed: joined with what came near by itself, and grown from the stated
+settings; and most that are begun again from the best with one effect exchanged."""
+
+SCANNED = (0.1, 0.3, 0.6, 1.0, 1.6)
+"""Amplitudes [prior sigma] from which the one is chosen that an exchanged effect begins with."""
+
+
+BENDING = 10.0
+"""Second order of an amplitude, at its size, from which on it is tried with the other sign [sigma of the data]."""
+
+
+def settle(
+    context: Context,
+    catalogue: Catalogue,
+    white: Array,
+    table: Table,
+    done: dict[Effects, Solved],
+    grown: set[Effects],
+) -> None:
+    """Hold the best of the fits against its neighbours.
+
+    Parameters
+    ----------
+    context : Context
+    catalogue : Catalogue
+    white : array
+        Its columns, whitened.
+    table : Table
+        Of the search; weights about new fits are put in.
+    done : dict
+        Of the search; fits are put in, and better ones take the place of old ones.
+    grown : set
+        Sets that others were grown from already; put in.
+    """
+
+    def keep(found: Iterator[Solved]) -> None:
+        for solved in found:
+            effects = solved.fit.effects
+            was = done.get(effects)
+            if was is not None and not _better(solved, was):
+                continue
+            done[effects] = solved
+            table.log_z[effects] = solved.fit.log_evidence
+            table.source.setdefault(effects, ())
+            if solved.fit.converged or not refit.misses(context, solved):
+                weigh_again(context, catalogue, white, solved, table, done)
+
+    best = leader(done)
+    if not best.fit.effects:
+        return
+    keep(_other_signs(context, catalogue, best))
+    keep(_without_each(context, catalogue, white, leader(done), done))
+    if refit.strayed(context, leader(done)):
+        keep(_joined(context, catalogue, leader(done), done))
+    best = leader(done)
+    if refit.strayed(context, best) and best.fit.effects not in grown:
+        grown.add(best.fit.effects)
+        keep(_grown(context, catalogue, best, done))
+    keep(_exchanged(context, catalogue, leader(done), done))
+
+
+def leader(done: Mapping[Effects, Solved]) -> Solved:
+    """The most probable fit that converged, of all where none did."""
+    return max((s for s in done.values()), key=lambda s: (s.fit.converged, s.fit.log_evidence))
+
+
+def _better(new: Solved, old: Solved) -> bool:
+    if new.fit.converged != old.fit.converged:
+        return new.fit.converged
+    return new.fit.log_evidence > old.fit.log_evidence + GAIN
+
+
+def _prior(catalogue: Catalogue, effects: Effects) -> float:
+    return screen.log_prior(effects, list(catalogue.effects))
+
+
+def _at(h: Hypothesis, sizes: Mapping[str, float], places: Mapping[str, float], nuisance: Array) -> Point:
+    """A point from amplitudes in fit space and shapes by name."""
+    return Point(
+        nuisance, np.array([sizes[a.name] for a in h.amplitudes]), np.array([places[s.name] for s in h.shapes])
+    )
+
+
+def _sizes(h: Hypothesis, solved: Solved) -> dict[str, float]:
+    return {a.name: fit_value(a, solved.fit.values.get(a.name, 0.0)) for a in h.amplitudes}
+
+
+def _other_signs(context: Context, catalogue: Catalogue, best: Solved) -> Iterator[Solved]:
+    """The same set from the other side of its amplitudes."""
+    h = hypothesis_of(catalogue, best.fit.effects)
+    for point in _turned(context, h, _sizes(h, best), best):
+        yield _from_stated(context, h, point, best, _prior(catalogue, h.names))
+
+
+def _turned(context: Context, h: Hypothesis, sizes: Mapping[str, float], best: Solved) -> list[Point]:
+    """Points at the stated settings with the signs of an effect's amplitudes turned, of those that bend what they do
+    beyond the noise: a line is as wide behind a defocus of either sign."""
+    zero = np.zeros_like(best.point.nuisance)
+    out = []
+    for e in h.effects:
+        if e.whole or evidence.shapes(e) or len(evidence.amplitudes(e)) > foresight.SIDES:
+            continue
+        signs = [(1.0, -1.0) if _bends(context, e, a, sizes[a.name]) else (1.0,) for a in evidence.amplitudes(e)]
+        for turn in list(product(*signs))[1:]:
+            own = {a.name: s * sizes[a.name] for a, s in zip(evidence.amplitudes(e), turn, strict=True)}
+            out.append(_at(h, {**sizes, **own}, best.fit.values, zero))
+    return out
+
+
+def _bends(context: Context, effect: Effect, a: Parameter, size: float) -> bool:
+    change = None if evidence.kind(a) else context.change(a, size, dict(evidence.fixed(effect)))
+    return change is not None and float(np.linalg.norm(context.whiten(change[1]))) * size**2 > BENDING
+
+
+def _from_stated(context: Context, h: Hypothesis, point: Point, best: Solved, prior: float) -> Solved:
+    return refit.fit(context, h, [point], context.stated() or best.known, None, prior, hold=1)
+
+
+def _without_each(
+    context: Context, catalogue: Catalogue, white: Array, best: Solved, done: Mapping[Effects, Solved]
+) -> Iterator[Solved]:
+    """The best set without one of its effects, where that may be as good."""
+    own = best.fit.effects
+    smaller = [tuple(n for n in own if n != e) for e in own] if len(own) > 1 else []
+    expected = log_z_about(context, catalogue, white, best, smaller) if smaller else {}
+    for effects in smaller:
+        if expected[effects] < best.fit.log_evidence - REACH:
+            continue
+        h, prior = hypothesis_of(catalogue, effects), _prior(catalogue, effects)
+        sizes, was = _sizes(h, best), done.get(effects)
+        turned = _turned(context, h, sizes, best)
+        if not turned and was is not None and was.fit.converged and not refit.strayed(context, was):
+            continue
+        here = _at(h, sizes, best.fit.values, best.point.nuisance)
+        fits = [refit.fit(context, h, [here], best.known, None, prior)]
+        plain = replace(here, nuisance=np.zeros_like(here.nuisance))
+        fits += [_from_stated(context, h, p, best, prior) for p in (plain, *turned)]
+        yield max(fits, key=lambda s: (s.fit.converged, s.fit.log_evidence))
+
+
+def _exchanged(
+    context: Context, catalogue: Catalogue, best: Solved, done: Mapping[Effects, Solved]
+) -> Iterator[Solved]:
+    """Sets with one effect exchanged that were lost, begun where the best is."""
+    own = set(best.fit.effects)
+    lost = [s for s in done.values() if not s.fit.converged or refit.strayed(context, s)]
+    lost = [s for s in lost if len(s.fit.effects) == len(own) > 1 and len(own & set(s.fit.effects)) == len(own) - 1]
+    for effects in [s.fit.effects for s in sorted(lost, key=lambda s: -s.fit.log_evidence)[:EXCHANGED]]:
+        h = hypothesis_of(catalogue, effects)
+        (effect,) = (e for e in h.effects if e.name not in own)
+        if evidence.shapes(effect) or effect.whole:
+            continue
+        points = [_at(h, _sizes(h, best) | sizes, best.fit.values, best.point.nuisance) for sizes in _scan(effect)]
+        cost = [_misfit(context, h, p) for p in points]
+        chosen = points[int(np.argmin(cost))]
+        yield refit.fit(context, h, [chosen], best.known, None, _prior(catalogue, effects), hold=1)
+
+
+def _scan(effect: Effect) -> list[dict[str, float]]:
+    """Amplitudes of one effect, one at a time, over their range."""
+    out = []
+    for a in evidence.amplitudes(effect):
+        for size in SCANNED:
+            for sign in (1.0,) if evidence.kind(a) else (1.0, -1.0):
+                out.append({a.name: sign * (size * a.sigma) ** a.power})
+    return out
+
+
+def _misfit(context: Context, h: Hypothesis, point: Point) -> float:
+    residual = context.problem.data - context.predict(values(context.problem, h, point))
+    white = context.whiten(residual)
+    return float(white @ white) if np.isfinite(white).all() else float("inf")
+
+
+def _joined(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[Effects, Solved]) -> Iterator[Solved]:
+    """The best set and what else came near with settings about as stated, from the latter's fit."""
+    own = set(best.fit.effects)
+    others = [s for s in done.values() if s.fit.effects and s.fit.converged and not refit.bent(s)]
+    others = [s for s in others if not own & set(s.fit.effects)]
+    for other in sorted(others, key=lambda s: -s.fit.log_evidence)[:JOINED]:
+        both = tuple(n for n in catalogue.effects if n in own or n in other.fit.effects)
+        if len(both) <= LARGEST and (both not in done or refit.strayed(context, done[both])):
+            yield attempt(context, catalogue, both, other, done, -np.inf)
+
+
+def _grown(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[Effects, Solved]) -> Iterator[Solved]:
+    """The best set and one more effect, both sought from the stated settings."""
+    own = best.fit.effects
+    if len(own) >= LARGEST or any(evidence.shapes(catalogue.effects[e]) or catalogue.effects[e].whole for e in own):
+        return
+    sets = [tuple(n for n in catalogue.effects if n in own or n == new) for new in catalogue.effects if new not in own]
+    sets = [e for e in sets if e not in done or refit.strayed(context, done[e])]
+    at = {a.name: fit_value(a, best.fit.values[a.name]) for e in own for a in evidence.amplitudes(catalogue.effects[e])}
+    found = foresight.foretell_all(context, [hypothesis_of(catalogue, e) for e in sets], at)
+    ranked = [(f.log_evidence + _prior(catalogue, e), e, f) for e, f in zip(sets, found, strict=True) if f is not None]
+    ranked.sort(key=lambda r: -r[0])
+    for _, effects, foretold in ranked[:GROWN]:
+        yield attempt(context, catalogue, effects, best, done, -np.inf, foretold.points)
