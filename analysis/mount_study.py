@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from diagnosis_study import read, run, tell, verdict_of
 from numpy.typing import NDArray
-from study_cases import alone
 
 from benchsim.diagnosis.linear import whiten
 from benchsim.diagnosis.problem import Problem
@@ -31,7 +30,8 @@ from benchsim.instruments.mount.further import OBLIQUITY, aimed, sun_at
 from benchsim.instruments.mount.prediction import STEPS
 from benchsim.instruments.mount.records import UNITS, Actuator, Mount, Records, Session, toward
 from benchsim.jobs.mounting import diagnose_session
-from benchsim.trial.draws import Sight, as_effects, draw_effect
+from benchsim.trial.draws import as_effects, draw_effect
+from benchsim.trial.sight import Sight
 
 Array = NDArray[np.float64]
 
@@ -235,8 +235,7 @@ def _case(row: str, seed: int, case: int) -> dict[str, Any]:
         snr[strange] = float(np.linalg.norm(sight.through(whiten(problem, problem.covariance, bent.ravel() / unit)[0])))
     rival, lone = ("", float("inf")), float("inf")
     if truth:
-        delta = sight.change(values)
-        rival, lone = sight.rival(delta, tuple(truth)), alone(sight, delta, values, truth)
+        rival, lone = sight.rival(values, tuple(truth)), sight.alone(values, tuple(truth))
     start = time.process_time()
     without = tuple(truth) if row == "removed" else ()
     found = diagnose_session(judged, without=without)

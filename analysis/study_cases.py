@@ -22,19 +22,17 @@ from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.trial.draws import (
     STRANGER_ELEMENT,
     STRANGERS,
-    Sight,
-    amplitudes,
     as_effects,
     bench,
     draw_effect,
     draw_stranger,
     possible,
 )
+from benchsim.trial.sight import Sight, amplitudes
 
 __all__ = [
     "Sight",
     "Truth",
-    "alone",
     "bench",
     "conceal",
     "element_of",
@@ -138,8 +136,7 @@ def visible(truth: Truth, sight: Sight, values: Mapping[str, float], true: Probl
         snr[truth.stranger] = float(np.linalg.norm(sight.through(whiten(nominal, nominal.covariance, bent)[0])))
     rival, single = ("", float("inf")), float("inf")
     if truth.effects:
-        delta = sight.change(values)
-        rival, single = sight.rival(delta, tuple(truth.effects)), alone(sight, delta, values, truth.effects)
+        rival, single = sight.rival(values, tuple(truth.effects)), sight.alone(values, tuple(truth.effects))
     at_cap = {name: reach(sight, catalogue[name], own) for name, own in truth.effects.items()}
     return {"snr": snr, "reach": at_cap, "rival": rival, "alone": single}
 
@@ -189,22 +186,6 @@ def nuisances(problem: Problem, truth: Truth, rng: np.random.Generator) -> dict[
         p.name: float(p.sigma * (truth.setting_scale if p.scaled else 1.0) * rng.standard_normal())
         for p in problem.nuisances
     }
-
-
-def alone(sight: Sight, delta: Array, values: Mapping[str, float], concealed: Collection[str]) -> float:
-    """Distance [sigma] of what several effects change together from what the nearest of them, refitted, does alone.
-
-    Below 3 the data do not show that there are several, whatever the SNR of each by itself. Linear, caps aside;
-    infinite for fewer than two effects.
-    """
-    if len(concealed) < 2:
-        return float("inf")
-    left = []
-    for effect in sight.problem.catalogue:
-        if effect.name in concealed:
-            own = np.stack([sight.column(p, values) for p in amplitudes(effect)], axis=1)
-            left.append(float(np.linalg.norm(delta - own @ np.linalg.lstsq(own, delta, rcond=1e-9)[0])))
-    return min(left)
 
 
 def plain(truth: Truth) -> dict[str, Any]:

@@ -38,6 +38,13 @@ JOINED, GROWN, EXCHANGED = 2, 2, 2
 """Most sets that are fitted where the best strayed: joined with what came near by itself, and grown from the stated
 settings; and most that are begun again from the best with one effect exchanged."""
 
+LEAD = 9.0
+"""ln Z over the null from which on sets are grown from the best where it strayed: what gains less beside settings that
+are off explains little more than they do."""
+
+HOPELESS = 4.0
+"""rms residual [sigma] of the best fit beyond which it is left as it is."""
+
 SCANNED = (0.1, 0.3, 0.6, 1.0, 1.6)
 """Amplitudes [prior sigma] from which the one is chosen that an exchanged effect begins with."""
 
@@ -83,14 +90,15 @@ def settle(
                 weigh_again(context, catalogue, white, solved, table, done)
 
     best = leader(done)
-    if not best.fit.effects:
+    if not best.fit.effects or _hopeless(best):
         return
     keep(_other_signs(context, catalogue, best))
     keep(_without_each(context, catalogue, white, leader(done), done))
     if refit.strayed(context, leader(done)):
         keep(_joined(context, catalogue, leader(done), done))
     best = leader(done)
-    if refit.strayed(context, best) and best.fit.effects not in grown:
+    ahead = best.fit.log_evidence > done[()].fit.log_evidence + LEAD
+    if ahead and refit.strayed(context, best) and best.fit.effects not in grown:
         grown.add(best.fit.effects)
         keep(_grown(context, catalogue, best, done))
     keep(_exchanged(context, catalogue, leader(done), done))
@@ -99,6 +107,16 @@ def settle(
 def leader(done: Mapping[Effects, Solved]) -> Solved:
     """The most probable fit that converged, of all where none did."""
     return max((s for s in done.values()), key=lambda s: (s.fit.converged, s.fit.log_evidence))
+
+
+def better(new: Solved, old: Solved) -> bool:
+    """Whether a leader is worth going on from where another was."""
+    return new.fit.effects != old.fit.effects or _better(new, old)
+
+
+def _hopeless(best: Solved) -> bool:
+    """Whether even the best misses the data by so much that it says nothing of what they hold."""
+    return best.fit.chi2 > HOPELESS**2 * len(best.residual)
 
 
 def _better(new: Solved, old: Solved) -> bool:

@@ -105,7 +105,7 @@ def search(
         for _ in range(TURNS):
             before = growth.leader(walk.done)
             growth.settle(context, walk.catalogue, walk.white, table, walk.done, grown)
-            if growth.leader(walk.done) is before:
+            if not growth.better(growth.leader(walk.done), before):
                 break
             _explore(walk, walk.tried + ANEW, tell)
         _challenge(walk)

@@ -26,8 +26,8 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.instruments.bench import observables
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.trial import draws
-from benchsim.trial.draws import Sight
 from benchsim.trial.hashing import rng_of
+from benchsim.trial.sight import Sight
 
 Array = NDArray[np.float64]
 
@@ -310,7 +310,7 @@ def visible(recording: Recording, concealed: Concealed, plan: Plan) -> dict[str,
         snr[concealed.stranger] = float(np.linalg.norm(sight.through(_moved(whole, true))))
     rival = None
     if concealed.effects and not plan.zero:
-        names, distance = sight.rival(sight.change(concealed.values), tuple(concealed.effects))
+        names, distance = sight.rival(concealed.values, tuple(concealed.effects))
         rival = {"effects": names.split("+") if names else [], "separation_sigma": distance}
     element = draws.STRANGER_ELEMENT.get(concealed.stranger, "")
     return {

@@ -1,4 +1,4 @@
-"""Draws of benches and of what is concealed in them, and how visible that is there.
+"""Draws of benches and of what is concealed in them.
 
 What is concealed is drawn by its signal-to-noise ratio: the whitened norm of what it changes in the data after setting
 errors, beam and camera are marginalised, in the problem that it is drawn for.
@@ -8,23 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations_with_replacement, product
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 import benchsim
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, field
 from benchsim.bench.files import read
 from benchsim.bench.model import Camera, Exposure, Recording
-from benchsim.diagnosis.classes import bounds
-from benchsim.diagnosis.linear import Linear, columns, linearise, predict_all, whiten
-from benchsim.diagnosis.problem import Effect, Parameter, Problem
-from benchsim.diagnosis.screen import Catalogue, expand
+from benchsim.diagnosis.linear import predict_all, whiten
+from benchsim.diagnosis.problem import Effect
+from benchsim.trial.sight import Sight, amplitudes
 
 Array = NDArray[np.float64]
 
@@ -102,94 +99,9 @@ def smaller(camera: Camera, shrink: int) -> Camera:
     )
 
 
-def amplitudes(effect: Effect) -> tuple[Parameter, ...]:
-    """Parameters of an effect that are no shapes."""
-    return tuple(p for p in effect.parameters if not p.grid)
-
-
 def shapes(effect: Effect, rng: np.random.Generator) -> dict[str, float]:
     """A draw of its shape parameters, uniform over their range."""
     return {p.name: float(rng.uniform(min(p.grid), max(p.grid))) for p in effect.parameters if p.grid}
-
-
-@dataclass(frozen=True)
-class Sight:
-    """A problem linearised at its stated setting, nuisances marginalised: what a change of the data is worth."""
-
-    problem: Problem
-    linear: Linear
-    projector: Array
-    catalogue: Catalogue
-    columns: Array
-
-    @classmethod
-    def of(cls, problem: Problem) -> Sight:
-        """About the stated setting."""
-        linear = linearise(problem, {}, ())
-        n = linear.nuisance
-        # (1 + N Nᵀ)^(-1/2) applied by its projector: eigenvectors of N with 1/sqrt(1 + s²).
-        u, s, _ = np.linalg.svd(n, full_matrices=False)
-        projector = np.stack([u * (1 - 1 / np.sqrt(1 + s**2)), u])
-        catalogue = expand(problem, {})
-        white = whiten(problem, problem.covariance, catalogue.columns)[0]
-        return cls(problem, linear, projector, catalogue, white - projector[0] @ (projector[1].T @ white))
-
-    def through(self, whitened: Array) -> Array:
-        """Whitened data with the nuisances marginalised: their norm is an SNR."""
-        w, u = self.projector
-        return whitened - w @ (u.T @ whitened)
-
-    def change(self, values: Mapping[str, float]) -> Array:
-        """What parameters change in the data, in sigma, nuisances marginalised."""
-        zero = {k: v for k, v in values.items() if k in _shape_names(self.problem)}
-        delta = predict_all(self.problem, values) - predict_all(self.problem, zero)
-        return self.through(whiten(self.problem, self.problem.covariance, delta)[0])
-
-    def column(self, parameter: Parameter, at: Mapping[str, float]) -> Array:
-        """Of one amplitude at given shapes."""
-        j = columns(self.problem, at, (parameter,))
-        return self.through(whiten(self.problem, self.problem.covariance, j)[0])[:, 0]
-
-    def rival(self, delta: Array, concealed: tuple[str, ...]) -> tuple[str, float]:
-        """Nearest other single or pair without the truth, amplitudes, shapes and nuisances refitted [sigma].
-
-        Shapes at the nodes of their grids; amplitudes within their caps: what no bench can have is nobody's rival.
-        """
-        norm = np.linalg.norm(self.columns, axis=0)
-        unit = self.columns / np.where(norm > 1e-9, norm, 1.0)
-        gram, cross, whole = unit.T @ unit, unit.T @ delta, float(delta @ delta)
-        nodes = {e: [list(node.columns) for node in many] for e, many in self.catalogue.nodes.items()}
-        limits = np.zeros((len(norm), 2))
-        for effect in self.problem.catalogue:
-            own = np.array([bounds(p) for p in effect.parameters if not p.grid])
-            for at in nodes[effect.name]:
-                limits[at] = own
-        limits *= norm[:, None]
-        free: list[tuple[float, str, list[int], bool]] = []
-        for a, b in combinations_with_replacement(nodes, 2):
-            if set(concealed) <= {a, b}:
-                continue
-            for first, second in product(nodes[a], nodes[b] if b != a else [[]]):
-                at = [k for k in (*first, *second) if norm[k] > 1e-9]
-                size = np.linalg.lstsq(gram[np.ix_(at, at)], cross[at], rcond=1e-9)[0] if at else np.zeros(0)
-                inside = bool(np.all((size >= limits[at, 0]) & (size <= limits[at, 1])))
-                distance = float(np.sqrt(max(whole - float(cross[at] @ size), 0.0)))
-                free.append((distance, "+".join(sorted({a, b})), at, inside))
-        best = ("", float(np.sqrt(whole)))
-        # Without its caps a rival comes nearer: the nearest of those tells where to stop.
-        for distance, name, at, inside in sorted(free, key=lambda f: f[0]):
-            if distance >= best[1]:
-                break
-            if not inside:
-                found = lsq_linear(unit[:, at], delta, bounds=(limits[at, 0], limits[at, 1]))
-                distance = float(np.linalg.norm(found.fun))
-            if distance < best[1]:
-                best = (name, distance)
-        return best
-
-
-def _shape_names(problem: Problem) -> set[str]:
-    return {p.name for e in problem.catalogue for p in e.parameters if p.grid}
 
 
 def draw_effect(

@@ -25,8 +25,8 @@ from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.instruments.bench import observables
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.trial import draws
-from benchsim.trial.draws import Sight
 from benchsim.trial.hashing import rng_of
+from benchsim.trial.sight import Sight
 
 Array = NDArray[np.float64]
 
