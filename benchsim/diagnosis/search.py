@@ -68,6 +68,8 @@ class _Walk:
     bent: bool
     foretold: bool
     """Whether no refit found more than its linearisation said."""
+    first: Catalogue
+    """As it was differentiated about the null."""
     tried: int = 1
     looks: int = 0
 
@@ -95,7 +97,7 @@ def search(
     if bent:
         _foresee_all(context, catalogue, table)
     table.begin.update({e: (point,) for e, point in earlier.items() if e in table.begin})
-    walk = _Walk(context, catalogue, white, table, {(): null}, null, bent, not strayed)
+    walk = _Walk(context, catalogue, white, table, {(): null}, null, bent, not strayed, catalogue)
     _explore(walk, refits, tell)
     again = bent and not refit.misses(context, null)
     if again:
@@ -199,15 +201,19 @@ def _challenge(walk: _Walk) -> None:
     own, names = best.fit.effects, list(catalogue.effects)
     if not own or refit.misses(context, best):
         return
-    about_null = whole(context, catalogue, null)
-    within = classes.space(context.problem, classes.about(about_null, best.fit), best.fit.setting_scale)
-    signal = classes.amplitude_vector(context.problem, about_null.names, best.fit)
     near: dict[Effects, float] = {}
-    for out in own:
-        for new in (n for n in names if n not in own):
-            effects = tuple(n for n in names if n == new or (n in own and n != out))
-            if effects not in done:
-                near[effects] = classes.separation(within, signal, effects)
+    # What an effect does beside another is not what it does in its place: of facets that are tilted one by one a wobble
+    # only changes the tilts. So columns count that were taken about the null, too.
+    for columns in (walk.first, catalogue):
+        about_null = whole(context, columns, null)
+        within = classes.space(context.problem, classes.about(about_null, best.fit), best.fit.setting_scale)
+        signal = classes.amplitude_vector(context.problem, about_null.names, best.fit)
+        for out in own:
+            for new in (n for n in names if n not in own):
+                effects = tuple(n for n in names if n == new or (n in own and n != out))
+                if effects not in done:
+                    distance = classes.separation(within, signal, effects)
+                    near[effects] = min(distance, near.get(effects, np.inf))
     for effects in sorted((e for e in near if near[e] < NEARBY), key=lambda e: near[e])[:RIVALS]:
         smaller = [s for e, s in done.items() if set(e) < set(effects) and s.fit.converged]
         source = max(smaller, key=lambda s: s.fit.log_evidence, default=null)
