@@ -195,6 +195,18 @@ def test_foresight_says_when_it_cannot():
     assert foresight.foretell(context, Hypothesis((replace(CATALOGUE[0], whole=True),))) is None
 
 
+def test_beside_what_is_there_another_is_foretold_with_settings_as_stated():
+    """Scenario: an aberration whose size was found, and a slant beside it that nobody looked for."""
+    truth = {"q": -2.6, "d": 0.4, "s0": 0.02, "s1": -0.03, "o0": 0.8, "o1": -1.2}
+    made = problem(truth)
+    context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
+    both = Hypothesis(CATALOGUE)
+    (found,) = foresight.foretell_all(context, [both], {"q": -2.3})
+    assert np.allclose(found.points[0].amplitude, [-2.6, 0.4], atol=0.1)
+    begun = foresight._begun(both, {"q": -2.3})
+    assert {q[0] for q in begun} == {-2.3} and {q[1] for q in begun} == {-2.0, 2.0}
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_it_is_named_and_sized_all_the_same(seed):
     found = naming.name(problem(TRUTH, seed))

@@ -6,6 +6,7 @@ design ask for, with sizes within 3 sigma.
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -128,3 +129,28 @@ def test_what_is_suspected_or_probable_comes_with_what_would_settle_it(size, see
     assert d.verdict == said and all(f.confidence == "probable" for f in d.effects)
     assert d.effects or any("lens-a is suspected" in note for note in d.notes)
     assert d.next and d.next[0].what == "the line through a microscope"
+
+
+@pytest.mark.parametrize(("lead", "members"), [(0.7, ((), ("creep",))), (-0.7, (("creep",), ())), (2.5, None)])
+def test_an_effect_in_whose_place_settings_could_be_further_off_is_left_open(lead, members):
+    """Scenario: a bow beyond doubt, and a creep that settings twice as far off as stated would explain as well. Which
+    of the two it is the data cannot tell; the bow is named in either case. Where the settings are more than nine times
+    as probable, nothing is left open.
+    """
+    problem = toy({"bow": 0.2, "creep": 3.0}, 5)
+    naming_ = naming.name(problem)
+    both = next(f for f in naming_.fits if f.effects == ("bow", "creep"))
+    alone = replace(
+        next(f for f in naming_.fits if f.effects == ("bow",)),
+        setting_scale=2.1,
+        log_evidence=both.log_evidence + lead,
+        converged=True,
+    )
+    fits = (*(f for f in naming_.fits if f.effects not in (("bow",), ("bow", "creep"))), both, alone)
+    judged = judge(problem, replace(naming_, fits=fits))
+    if members is None:
+        assert judged.best.fit.effects == ("bow",) and judged.best.claim.classes == ()
+        return
+    assert judged.best.fit is both and judged.best.claim.lone == ("bow",)
+    assert judged.best.claim.classes == (members,)
+    assert any("2.1 times as far off as stated would do in place of creep" in note for note in judged.notes)
