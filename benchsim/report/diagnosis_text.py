@@ -194,7 +194,7 @@ def _classes(d: Diagnosis, about: About) -> Iterator[str]:
         lines = [f"One of these {len(c.members)}, together {percent(c.probability)}; the most probable first:"]
         for member in c.members:
             if not member:
-                lines.append("  - nothing else" if d.effects else "  - nothing")
+                lines.append("  - nothing else" if d.effects or len(d.classes) > 1 else "  - nothing")
                 continue
             says = " ".join(known[name].says for name in member if name in known)
             text = f"{' with '.join(member)}: {says}" if says else " with ".join(member)
