@@ -241,13 +241,22 @@ def _joined(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[
 def _grown(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[Effects, Solved]) -> Iterator[Solved]:
     """The best set and one more effect, both sought from the stated settings."""
     own = best.fit.effects
-    if len(own) >= LARGEST or any(evidence.shapes(catalogue.effects[e]) or catalogue.effects[e].whole for e in own):
+    if len(own) >= LARGEST or any(catalogue.effects[e].whole for e in own):
         return
     sets = [tuple(n for n in catalogue.effects if n in own or n == new) for new in catalogue.effects if new not in own]
     sets = [e for e in sets if e not in done or refit.strayed(context, done[e])]
     at = {a.name: fit_value(a, best.fit.values[a.name]) for e in own for a in evidence.amplitudes(catalogue.effects[e])}
-    found = foresight.foretell_all(context, [hypothesis_of(catalogue, e) for e in sets], at)
+    held = {e: _placed(catalogue.effects[e], best.fit.values) for e in own}
+    hypotheses = [Hypothesis(tuple(held.get(n, catalogue.effects[n]) for n in effects)) for effects in sets]
+    found = foresight.foretell_all(context, hypotheses, at)
     ranked = [(f.log_evidence + _prior(catalogue, e), e, f) for e, f in zip(sets, found, strict=True) if f is not None]
     ranked.sort(key=lambda r: -r[0])
     for _, effects, foretold in ranked[:GROWN]:
-        yield attempt(context, catalogue, effects, best, done, -np.inf, foretold.points)
+        shape = np.array([best.fit.values[p.name] for p in hypothesis_of(catalogue, effects).shapes])
+        begun = tuple(replace(point, shape=shape) for point in foretold.points)
+        yield attempt(context, catalogue, effects, best, done, -np.inf, begun)
+
+
+def _placed(effect: Effect, at: Mapping[str, float]) -> Effect:
+    """An effect whose place, width and period are where a fit has them."""
+    return replace(effect, parameters=tuple(replace(p, grid=(at[p.name],)) if p.grid else p for p in effect.parameters))

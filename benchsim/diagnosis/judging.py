@@ -12,7 +12,7 @@ from benchsim.diagnosis import attachments, classes, evidence, location, remaind
 from benchsim.diagnosis.attachments import Attached
 from benchsim.diagnosis.classes import Claim, Space, Weighed
 from benchsim.diagnosis.fits import Effects, Fit, Naming
-from benchsim.diagnosis.linear import Linear, marginal, predict_all, whiten
+from benchsim.diagnosis.linear import Linear, linearise, marginal, predict_all, whiten
 from benchsim.diagnosis.location import Explanation
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Found, Location
@@ -189,18 +189,35 @@ def _weigh(
 ) -> tuple[Attached, ...]:
     """All attachments on one hypothesis, those that could matter beside the best about their own nuisances."""
     rival = max(on.log_evidence, best.log_evidence)
-    laid = list(attachments.weigh(problem, naming, prepared, on))
-    seen: set[str] = set()
-    for _ in range(REFINED):
-        top = [a for a in laid if a.attachment.name not in seen and a.log_evidence > laid[0].log_evidence - CONCERN]
+    laid = [(a, 0) for a in attachments.weigh(problem, naming, prepared, on)]
+    if on is naming.null and not on.converged and best.effects:
+        # Settings that were bent on the way to no fit may be where no function shows what it can do: those that go with
+        # the best names are looked from, too.
+        at = {q.name: best.values[q.name] for q in problem.nuisances}
+        linear = linearise(problem, at, (), naming.noise.covariance)
+        known = attachments.evidence_about(problem, naming, on, linear)
+        more = attachments.weigh(problem, naming, prepared, on, linear=linear, log_evidence=known)
+        laid = sorted([*laid, *((a, 1) for a in more)], key=lambda own: -own[0].log_evidence)
+
+    def key(own: tuple[Attached, int]) -> tuple[str, int]:
+        return own[0].attachment.name, own[1]
+
+    seen: set[tuple[str, int]] = set()
+    # What comes first has to be checked before anything rests on it.
+    while laid and (len(seen) < REFINED or key(laid[0]) not in seen):
+        first = laid[0][0].log_evidence
+        top = [own for own in laid if key(own) not in seen and own[0].log_evidence > first - CONCERN]
         # What explains no more than nothing does, or than names do, need not be known to a digit.
-        if not top or top[0].log_evidence < rival - CONCERN:
+        if not top or top[0][0].log_evidence < rival - CONCERN:
             break
-        seen.add(top[0].attachment.name)
-        again = attachments.refine(problem, naming, prepared, top[0], on, rival - verdict.NAMED_MARGIN)
-        laid = [again if a.attachment.name == again.attachment.name else a for a in laid]
-        laid.sort(key=lambda a: -a.log_evidence)
-    return tuple(laid)
+        seen.add(key(top[0]))
+        again = attachments.refine(problem, naming, prepared, top[0][0], on, rival - verdict.NAMED_MARGIN)
+        laid = [(again, own[1]) if key(own) == key(top[0]) else own for own in laid]
+        laid.sort(key=lambda own: -own[0].log_evidence)
+    best_of: dict[str, Attached] = {}
+    for a, _ in laid:
+        best_of.setdefault(a.attachment.name, a)
+    return tuple(best_of.values())
 
 
 def _left(problem: Problem, naming: Naming, fit: Fit, modes: remainder.Modes) -> remainder.Remainder:
