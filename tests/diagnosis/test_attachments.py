@@ -11,7 +11,7 @@ from toy import toy
 
 from benchsim.diagnosis import attachments, naming
 from benchsim.diagnosis.attachments import PRESENCE, kernel_root
-from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
+from benchsim.diagnosis.linear import linearise, nuisance_posterior, predict_all, whiten
 
 SNR_ONE = {"bow": 1 / 89.6, "lean": 1 / 58.2, "creep": 1 / 6.11}
 """Size of each effect at a whitened norm of 1 once the settings are marginalised."""
@@ -129,3 +129,33 @@ def test_a_function_is_weighed_about_its_own_nuisances():
     assert wrong[1] < 0.3
     x = again.attachment.knots[:, 0]
     assert np.polyfit(x, again.coefficients, 2)[0] == pytest.approx(1, abs=0.05)
+
+
+def test_what_a_function_promises_and_the_prediction_does_not_keep_is_taken_off():
+    """Scenario: about settings where no linearisation holds, the linear residual says that a function would leave next
+    to nothing. The exact prediction knows better, and the function loses by what is left."""
+    problem = toy({"bow": 0.3}, 5, without=("bow",))
+    found = naming.name(problem, refits=5)
+    prepared = attachments.prepare(problem, found.noise.covariance)
+    first = next(a for a in attachments.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
+    white, _ = whiten(problem, found.noise.covariance, first.attachment.basis)
+    function = white @ first.coefficients
+    honest = attachments._checked(problem, found, first, function, found.null)
+    assert honest.log_evidence == pytest.approx(first.log_evidence, abs=0.1)
+    empty = replace(first.linear, residual=np.zeros(len(function)), nuisance=np.zeros_like(first.linear.nuisance))
+    promising = replace(first, linear=replace(empty, residual=function))
+    checked = attachments._checked(problem, found, promising, function, found.null)
+    seen, _ = whiten(problem, found.noise.covariance, problem.data - predict_all(problem, {}))
+    left = 0.5 * float(np.sum((seen - function) ** 2))
+    assert left > 100
+    assert checked.log_evidence == pytest.approx(first.log_evidence - left, rel=1e-6)
+
+
+def test_a_null_is_as_probable_about_any_point_where_all_is_linear():
+    problem = toy({}, 5)
+    found = naming.name(problem, refits=5)
+    at = {p.name: 0.4 * p.sigma for p in problem.nuisances if "shift" not in p.name}
+    for point in (found.null.values, {**found.null.values, **at}):
+        linear = linearise(problem, point, (), found.noise.covariance)
+        same = attachments.evidence_about(problem, found, found.null, linear)
+        assert same == pytest.approx(found.null.log_evidence, abs=0.1)

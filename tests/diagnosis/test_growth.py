@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import attempt, curvature, growth, refit, screen, settings
+from benchsim.diagnosis import attempt, curvature, evidence, growth, refit, screen, settings
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, whitener
 from benchsim.diagnosis.linear import Linear, predict_all
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
@@ -136,3 +136,13 @@ def test_whether_an_effect_with_a_place_is_seen_is_asked_at_its_place(size, fain
     fit = SimpleNamespace(linear=lin, setting_scale=1.0, values={"p": value, "l": 1.0}, sigma={"p": value / 3.7})
     solved = SimpleNamespace(fit=fit, point=Point(np.zeros(0), np.array([value, 1.0]), np.array([0.4])))
     assert attempt.unseen(h, solved) == ({"plume"} if faint else set())
+
+
+def test_an_effect_beside_a_placed_one_is_sought_with_the_place_held():
+    """Scenario: the best holds a plume where its fit has it; what is sought beside it leaves the place alone."""
+    place = Parameter("place", "1", 1.0, grid=(0.0, 0.5, 1.0))
+    plume = Effect("plume", "air", (Parameter("p", "1", 1.0), place))
+    held = growth._placed(plume, {"p": 0.3, "place": 0.37})
+    h = Hypothesis((held, CATALOGUE[2]))
+    assert h.shapes == () and h.names == ("plume", "lean")
+    assert evidence.fixed(held) == {"place": 0.37}
