@@ -48,7 +48,6 @@ HOPELESS = 4.0
 SCANNED = (0.1, 0.3, 0.6, 1.0, 1.6)
 """Amplitudes [prior sigma] from which the one is chosen that an exchanged effect begins with."""
 
-
 BENDING = 10.0
 """Second order of an amplitude, at its size, from which on it is tried with the other sign [sigma of the data]."""
 
@@ -106,7 +105,7 @@ def settle(
 
 def leader(done: Mapping[Effects, Solved]) -> Solved:
     """The most probable fit that converged, of all where none did."""
-    return max((s for s in done.values()), key=lambda s: (s.fit.converged, s.fit.log_evidence))
+    return max(done.values(), key=lambda s: (s.fit.converged, s.fit.log_evidence))
 
 
 def better(new: Solved, old: Solved) -> bool:

@@ -260,8 +260,7 @@ def _place(
             only = of.pop()
             fit = fits.get(effects)
             # What is not said as a name for the settings that it needs does not say where either.
-            stated = fit is not None and (fit.setting_scale < verdict.STRETCHED or not problem.stated)
-            nothing = fit is not None and stated and _left(problem, naming, fit, modes).acceptable
+            nothing = fit is not None and not _stretched(problem, fit) and _left(problem, naming, fit, modes).acceptable
             explanations.append(Explanation(only, coordinate.get(only, ""), value, 0.0 if nothing else np.inf))
     elements = {e.element: None for e in problem.catalogue if e.name in on.effects}
     if findings.stands and not rest and len(elements) > 1:
