@@ -274,26 +274,35 @@ def refine(
         ln Z that it must reach for its columns to be differentiated there.
     """
     own = next(p for p in prepared if p.attachment.name == laid.attachment.name)
-    offset = on.log_evidence - _ground(problem, naming, on.linear).log_evidence + _prior(problem)
+    offset = _offset(problem, naming, on) + _prior(problem)
     white, _ = whiten(problem, naming.noise.covariance, own.attachment.basis)
-    known = amplitudes(problem, laid.linear.names)
-    size = np.array([on.values.get(q.name, 0.0) ** q.power for q in known])
-    p, at = len(problem.nuisances), on.values
+    at = on.values
     for _ in range(_ROUNDS):
-        base = absorb(problem, laid.linear)
-        pull = nuisance_posterior(base, base.residual - white @ laid.coefficients, laid.scale)[0][:p]
-        there = {**on.values, **{q.name: float(x * q.sigma) for q, x in zip(problem.nuisances, pull, strict=True)}}
-        seen, _ = whiten(problem, naming.noise.covariance, problem.data - predict_all(problem, there))
-        bent = laid.linear.residual - laid.linear.nuisance @ pull - laid.linear.effect @ size - seen
+        there, seen, promised = _exactly(problem, naming, laid, white @ laid.coefficients, on)
+        bent = promised - seen
         if not np.isfinite(bent).all() or np.linalg.norm(bent) < _STRAIGHT:
             break
         at = there
         plain = replace(laid.linear, residual=laid.linear.residual - bent)
         laid = _one(own, _ground(problem, naming, plain, offset=offset))
     if at is not on.values and laid.log_evidence >= worth:
+        known = amplitudes(problem, laid.linear.names)
         plain = linearise(problem, at, known, naming.noise.covariance)
         laid = _one(own, _ground(problem, naming, plain, offset=offset))
     return _checked(problem, naming, laid, white @ laid.coefficients, on)
+
+
+def _exactly(
+    problem: Problem, naming: Naming, laid: Attached, function: Array, on: Fit
+) -> tuple[dict[str, float], Array, Array]:
+    """The nuisances that a function leaves, with the hypothesis' amplitudes; the whitened misfit there, the function
+    not taken off, as predicted exactly and as linearised."""
+    base, p = absorb(problem, laid.linear), len(problem.nuisances)
+    pull = nuisance_posterior(base, base.residual - function, laid.scale)[0][:p]
+    there = {**on.values, **{q.name: float(x * q.sigma) for q, x in zip(problem.nuisances, pull, strict=True)}}
+    seen, _ = whiten(problem, naming.noise.covariance, problem.data - predict_all(problem, there))
+    size = np.array([on.values.get(q.name, 0.0) ** q.power for q in amplitudes(problem, laid.linear.names)])
+    return there, seen, laid.linear.residual - laid.linear.nuisance @ pull - laid.linear.effect @ size
 
 
 def _checked(problem: Problem, naming: Naming, laid: Attached, function: Array, on: Fit) -> Attached:
@@ -302,12 +311,7 @@ def _checked(problem: Problem, naming: Naming, laid: Attached, function: Array, 
     About a null that is far off, nuisances that follow a function can be led to where no linearisation holds: it then
     promises hundreds that it does not have, and would take the place of a name that fits.
     """
-    base, p = absorb(problem, laid.linear), len(problem.nuisances)
-    pull = nuisance_posterior(base, base.residual - function, laid.scale)[0][:p]
-    there = {**on.values, **{q.name: float(x * q.sigma) for q, x in zip(problem.nuisances, pull, strict=True)}}
-    seen, _ = whiten(problem, naming.noise.covariance, problem.data - predict_all(problem, there))
-    size = np.array([on.values.get(q.name, 0.0) ** q.power for q in amplitudes(problem, laid.linear.names)])
-    promised = laid.linear.residual - laid.linear.nuisance @ pull - laid.linear.effect @ size
+    _, seen, promised = _exactly(problem, naming, laid, function, on)
     loss = 0.5 * float(np.sum((seen - function) ** 2) - np.sum((promised - function) ** 2))
     loss = loss if np.isfinite(loss) else np.inf
     return replace(laid, log_evidence=laid.log_evidence - max(loss, 0.0))
@@ -315,8 +319,12 @@ def _checked(problem: Problem, naming: Naming, laid: Attached, function: Array, 
 
 def evidence_about(problem: Problem, naming: Naming, on: Fit, linear: Linear) -> float:
     """ln Z of a hypothesis without amplitudes about another point than its fit's, on the scale of the fits."""
-    own = _ground(problem, naming, on.linear).log_evidence
-    return on.log_evidence - own + _ground(problem, naming, linear).log_evidence
+    return _offset(problem, naming, on) + _ground(problem, naming, linear).log_evidence
+
+
+def _offset(problem: Problem, naming: Naming, on: Fit) -> float:
+    """Turns ln Z of a linearised hypothesis into that of the fits."""
+    return on.log_evidence - _ground(problem, naming, on.linear).log_evidence
 
 
 def _prior(problem: Problem) -> float:

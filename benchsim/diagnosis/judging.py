@@ -110,10 +110,7 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
     if plain is not None:
         return _or_settings(problem, naming, plain, fit, notes)
     while fit.effects:
-        linear = classes.about(naming.linear, fit)
-        within = classes.space(problem, linear, fit.setting_scale)
-        signal = classes.amplitude_vector(problem, naming.linear.names, fit)
-        hypotheses = classes.complete(classes.weighed(naming), fit.effects, within)
+        linear, within, signal, hypotheses = _about(problem, naming, fit)
         kept = classes.likely(hypotheses, fit.effects, signal, within)
         if kept == fit.effects:
             claim = classes.claim(hypotheses, fit.effects, signal, within)
@@ -130,6 +127,15 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
             return Best(fit, claim, hypotheses, linear, within)
         fit = fits[kept]
     return null
+
+
+def _about(problem: Problem, naming: Naming, fit: Fit) -> tuple[Linear, Space, Array, Weighed]:
+    """What claims about a fit are judged in: the catalogue linearised there, its space, the fit's amplitudes in it, and
+    all hypotheses, those that differ from it by one effect put in."""
+    linear = classes.about(naming.linear, fit)
+    within = classes.space(problem, linear, fit.setting_scale)
+    signal = classes.amplitude_vector(problem, naming.linear.names, fit)
+    return linear, within, signal, classes.complete(classes.weighed(naming), fit.effects, within)
 
 
 def _stretched(problem: Problem, fit: Fit) -> bool:
@@ -155,10 +161,7 @@ def _unstretched(problem: Problem, fit: Fit, others: Iterable[Fit]) -> Fit | Non
 def _or_settings(problem: Problem, naming: Naming, fit: Fit, stretched: Fit, notes: list[str]) -> Best:
     """A claim that leaves open whether its last effect is there, or settings are further off than stated instead."""
     (more,) = set(fit.effects) - set(stretched.effects)
-    linear = classes.about(naming.linear, fit)
-    within = classes.space(problem, linear, fit.setting_scale)
-    signal = classes.amplitude_vector(problem, naming.linear.names, fit)
-    hypotheses = classes.complete(classes.weighed(naming), fit.effects, within)
+    linear, within, signal, hypotheses = _about(problem, naming, fit)
     # What lacks the effect stands beside the same with it: that the settings may do its part is said once.
     known = {frozenset(h) for h in hypotheses.log_evidence}
     kept = {h: z for h, z in hypotheses.log_evidence.items() if more in h or frozenset((*h, more)) not in known}

@@ -63,11 +63,6 @@ class Sight:
         delta = predict_all(self.problem, values) - predict_all(self.problem, rest)
         return self.through(whiten(self.problem, self.problem.covariance, delta)[0])
 
-    def column(self, parameter: Parameter, at: Mapping[str, float]) -> Array:
-        """Of one amplitude at a point."""
-        j = columns(self.problem, at, (parameter,))
-        return self.through(whiten(self.problem, self.problem.covariance, j)[0])[:, 0]
-
     def rival(self, values: Mapping[str, float], concealed: tuple[str, ...]) -> Rival:
         """Nearest other single or pair without the truth, amplitudes, shapes and nuisances refitted [sigma].
 
@@ -78,7 +73,8 @@ class Sight:
         """
         sets = [{a, b} for a, b in combinations_with_replacement(self.catalogue.nodes, 2)]
         lone = [s for s in sets if not set(concealed) <= s]
-        best = self._nearest(self.change(values), lone, ("", float(np.linalg.norm(self.change(values)))))
+        delta = self.change(values)
+        best = self._nearest(delta, lone, ("", float(np.linalg.norm(delta))))
         for kept in concealed if len(concealed) == 2 else ():
             beside = [s for s in lone if kept in s]
             delta, own, limits = self._without(values, kept)
