@@ -6,11 +6,13 @@ is taken larger at first and falls as the model proves right.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from benchsim.diagnosis import curvature, evidence
@@ -91,15 +93,19 @@ def point_of(theta: Array, p: int, k: int) -> Point:
     return Point(theta[:p], theta[p : p + k], theta[p + k :])
 
 
-def cost_of(context: Context, h: Hypothesis, prior: Prior, theta: Array) -> tuple[float, Array]:
-    """−ln posterior, and the exact residual."""
-    problem = context.problem
-    at = values(problem, h, point_of(theta, len(problem.nuisances), len(h.amplitudes)))
-    residual = problem.data - context.predict(at)
-    if not np.isfinite(residual).all():
-        return float("inf"), residual
-    white = context.whiten(residual)
-    return float(0.5 * white @ white) + prior.cost(theta), residual
+def _costs_of(context: Context, h: Hypothesis, prior: Prior, thetas: Sequence[Array]) -> list[tuple[float, Array]]:
+    """−ln posterior, and the exact residual, of several points."""
+    problem, out = context.problem, []
+    p, k = len(problem.nuisances), len(h.amplitudes)
+    predicted = context.predict_each([values(problem, h, point_of(theta, p, k)) for theta in thetas])
+    for theta, prediction in zip(thetas, predicted, strict=True):
+        residual = problem.data - prediction
+        cost = float("inf")
+        if np.isfinite(residual).all():
+            white = context.whiten(residual)
+            cost = float(0.5 * white @ white) + prior.cost(theta)
+        out.append((cost, residual))
+    return out
 
 
 def normal_form(white: Array, residual: Array, prior: Prior, theta: Array) -> tuple[Array, Array]:
@@ -108,36 +114,51 @@ def normal_form(white: Array, residual: Array, prior: Prior, theta: Array) -> tu
     return hessian, white.T @ residual - prior.precision * theta - prior.slope
 
 
-def step_of(
-    normal: tuple[Array, Array], prior: Prior, theta: Array, p: int, radius: float = np.inf
-) -> tuple[Array, float]:
-    """Best step within the bounds, none longer than ``radius`` prior sigmas, and what it promises to gain.
+@dataclass(frozen=True)
+class Steps:
+    """Best steps within the bounds by their damping, each worked out once: where a step is too long or proves no
+    better, others are asked for with the same derivatives.
 
-    Damping by the nuisances' priors (Levenberg): settings that the data fix a thousand times better than their priors
-    otherwise send those that they do not fix off the screen.
+    Damping is by the nuisances' priors (Levenberg): settings that the data fix a thousand times better than their
+    priors otherwise send those that they do not fix off the screen.
     """
-    hessian, force = normal
-    damper = np.diag(prior.unit**-2.0)
 
-    def short(damping: float) -> Array | None:
-        try:
-            step = _bounded(hessian + damping * damper, force, prior, theta, p)
-        except np.linalg.LinAlgError:
-            # At a wild point rounding outweighs a direction's own curvature: damping gives it one.
-            return None
-        return step if np.abs(step / prior.unit).max(initial=0.0) <= radius else None
+    normal: tuple[Array, Array]
+    prior: Prior
+    theta: Array
+    p: int
+    known: dict[float, Array | None] = field(default_factory=dict)
 
-    step = short(0.0)
-    if step is None:
-        # Steps shorten as damping grows: the least that is enough is found by halving.
-        low, high = 0, len(DAMPINGS)
-        while low < high:
-            middle = (low + high) // 2
-            tried = short(DAMPINGS[middle])
-            low, high, step = (middle + 1, high, step) if tried is None else (low, middle, tried)
-    if step is None:
-        step = np.zeros(len(theta))
-    return step, float(force @ step - 0.5 * step @ hessian @ step)
+    def damped(self, damping: float) -> Array | None:
+        """None where rounding outweighs a direction's own curvature, as at a wild point: damping gives it one."""
+        if damping not in self.known:
+            hessian, force = self.normal
+            damper = damping * np.diag(self.prior.unit**-2.0)
+            try:
+                self.known[damping] = _bounded(hessian + damper, force, self.prior, self.theta, self.p)
+            except np.linalg.LinAlgError:
+                self.known[damping] = None
+        return self.known[damping]
+
+    def within(self, radius: float = np.inf) -> tuple[Array, float]:
+        """The best that is no longer than ``radius`` prior sigmas, and what it promises to gain."""
+
+        def short(damping: float) -> Array | None:
+            step = self.damped(damping)
+            return None if step is None or np.abs(step / self.prior.unit).max(initial=0.0) > radius else step
+
+        step = short(0.0)
+        if step is None:
+            # Steps shorten as damping grows: the least that is enough is found by halving.
+            low, high = 0, len(DAMPINGS)
+            while low < high:
+                middle = (low + high) // 2
+                tried = short(DAMPINGS[middle])
+                low, high, step = (middle + 1, high, step) if tried is None else (low, middle, tried)
+        if step is None:
+            step = np.zeros(len(self.theta))
+        hessian, force = self.normal
+        return step, float(force @ step - 0.5 * step @ hessian @ step)
 
 
 def _bounded(hessian: Array, force: Array, prior: Prior, theta: Array, p: int) -> Array:
@@ -176,50 +197,72 @@ class State:
 
 
 @dataclass(frozen=True)
-class _Model:
-    """Residual and derivatives to second order about a point, all whitened.
+class _Bend:
+    """Second derivatives of one block, whitened; only those by nuisances that act nonlinearly there are not 0.
 
-    ``known`` and ``own`` are the derivatives there, ``second`` those by pairs of nuisances, per block, ``changes`` the
-    amplitudes' M and bend (None: not needed), ``plain`` the same before whitening.
+    ``second`` are those by pairs of nuisances, ``changes`` the amplitudes' M and bend (None: not needed).
     """
 
-    context: Context
-    residual: Array
-    known: Array
-    own: Array
+    rows: slice
+    curved: NDArray[np.intp]
+    second: Array
     changes: Sequence[Change]
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Residual and derivatives to second order about a point, whitened; ``plain`` are the amplitudes' M and bend before
+    whitening, of all nuisances. Of the columns the first ``p`` are the nuisances'."""
+
+    residual: Array
+    columns: Array
+    p: int
+    bends: Sequence[_Bend]
     plain: Sequence[Change]
 
     def at(self, step: Array) -> tuple[Array, Array]:
         """Whitened residual and columns a step away."""
-        p = self.known.shape[1]
-        dx, dq = step[:p], step[p:]
-        known, own = self.known.copy(), self.own.copy()
-        about = self.context.curvature
-        if about is not None:
-            for b, (mine, second) in enumerate(zip(about.curved, self.context.second(), strict=True)):
-                if len(mine):
-                    known[self.context.problem.rows(b), mine] += second @ dx[mine]
-        bent = 0.5 * (known - self.known) @ dx
-        for i, change in enumerate(self.changes):
-            if change is not None:
-                moved = change[0] @ dx
-                known += dq[i] * change[0]
-                own[:, i] += moved + dq[i] * change[1]
-                bent += dq[i] * (moved + 0.5 * dq[i] * change[1])
-        return self.residual - self.known @ dx - self.own @ dq - bent, np.column_stack([known, own])
+        p, dq = self.p, step[self.p :]
+        columns, residual = self.columns.copy(), self.residual - self.columns @ step
+        for b in self.bends:
+            dx = step[b.curved]
+            more = b.second @ dx
+            bent = 0.5 * more @ dx
+            for i, change in enumerate(b.changes):
+                if change is not None:
+                    moved = change[0] @ dx
+                    more += dq[i] * change[0]
+                    columns[b.rows, p + i] += moved + dq[i] * change[1]
+                    bent += dq[i] * (moved + 0.5 * dq[i] * change[1])
+            columns[b.rows, b.curved] += more
+            residual[b.rows] -= bent
+        return residual, columns
 
 
 def _model(context: Context, h: Hypothesis, theta: Array, white: Array, known: Known, own: Array) -> _Model:
     """About a point whose residual is whitened already."""
-    p = len(context.problem.nuisances)
     columns = context.whiten(np.column_stack([carried(context, h, known, theta).columns, own]))
     plain: list[Change] = [*_changes(context, h, theta), *[None] * len(h.shapes)]
-    changes: list[Change] = []
-    for change in plain:
-        both = None if change is None else context.whiten(np.column_stack([change[0], change[1]]))
-        changes.append(None if both is None else (both[:, :-1], both[:, -1]))
-    return _Model(context, white, columns[:, :p], columns[:, p:], changes, plain)
+    return _Model(white, columns, len(context.problem.nuisances), _bends(context, plain), plain)
+
+
+def _bends(context: Context, plain: Sequence[Change]) -> list[_Bend]:
+    """Of every block that bends."""
+    about = context.curvature
+    if about is None:
+        return []
+    out = []
+    for b, (low, curved, second) in enumerate(zip(context.whiten.lower, about.curved, context.second(), strict=True)):
+        rows, changes = context.problem.rows(b), list[Change]()
+        for change in plain:
+            if change is None:
+                changes.append(None)
+                continue
+            own = np.column_stack([change[0][rows, curved], change[1][rows]])
+            white = solve_triangular(low, own, lower=True, check_finite=False)
+            changes.append((white[:, :-1], white[:, -1]))
+        out.append(_Bend(rows, curved, second, changes))
+    return out
 
 
 def _tempered(prior: Prior, theta: Array, white: Array, s: float) -> float:
@@ -239,11 +282,12 @@ def _downhill(
     cost = _tempered(prior, theta, residual, s)
     for _ in range(STEPS):
         normal = normal_form(white / s, residual / s, prior, theta + step)
-        if step_of(normal, prior, theta + step, model.known.shape[1])[1] < least:
+        steps = Steps(normal, prior, theta + step, model.p)
+        if steps.within()[1] < least:
             break
         better = False
         for _ in range(SHRINKS):
-            more, expected = step_of(normal, prior, theta + step, model.known.shape[1], radius)
+            more, expected = steps.within(radius)
             trial = step + more
             if np.abs(trial / prior.unit).max(initial=0.0) > reach:
                 radius *= 0.3
@@ -274,7 +318,7 @@ def descend(
     context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array, columns_at: Columns
 ) -> tuple[State, Array]:
     """To the minimum that stated settings lead to (`follow`); also the own columns there."""
-    state, own, exact = follow(context, h, prior, state, known, own, columns_at)
+    ((state, own, exact),) = follow(context, h, prior, [state], known, [own], columns_at)
     return state, own if exact else columns_at(state.theta)
 
 
@@ -282,16 +326,17 @@ def follow(
     context: Context,
     h: Hypothesis,
     prior: Prior,
-    state: State,
+    states: Sequence[State],
     known: Known,
-    own: Array,
+    owns: Sequence[Array],
     columns_at: Columns,
     *,
     tempered: bool = True,
     renewals: int | None = None,
     least: float = DESCENT,
-) -> tuple[State, Array, bool]:
-    """To the minimum that stated settings lead to; also the own columns there, and whether they are exact.
+) -> list[tuple[State, Array, bool]]:
+    """To the minima that stated settings lead to from several points; also the own columns there, and whether those
+    are exact. What the points ask of the data in one turn is predicted together, which is cheaper than one by one.
 
     A residual of a thousand sigma says nothing about directions that nearly cancel: exact noise would follow the
     model's own errors along them. So noise is first taken as large as the residual, and falls as the second-order model
@@ -299,11 +344,41 @@ def follow(
     are asked only whether it is better. Ends after ``renewals`` of the residual (default `RENEWALS`), or at a gain
     below ``least``.
     """
+    walks = [
+        _walk(context, h, prior, state, known, own, columns_at, tempered, renewals or RENEWALS, least)
+        for state, own in zip(states, owns, strict=True)
+    ]
+    ended: dict[int, tuple[State, Array, bool]] = {}
+    told: dict[int, tuple[float, Array] | None] = dict.fromkeys(range(len(walks)))
+    while told:
+        asked: dict[int, Array] = {}
+        for i, answer in told.items():
+            try:
+                asked[i] = walks[i].send(answer)
+            except StopIteration as end:
+                ended[i] = end.value
+        told = dict(zip(asked, _costs_of(context, h, prior, list(asked.values())), strict=True))
+    return [ended[i] for i in range(len(walks))]
+
+
+def _walk(
+    context: Context,
+    h: Hypothesis,
+    prior: Prior,
+    state: State,
+    known: Known,
+    own: Array,
+    columns_at: Columns,
+    tempered: bool,
+    renewals: int,
+    least: float,
+) -> Generator[Array, Any, tuple[State, Array, bool]]:
+    """One of `follow`: gives points, and is told −ln posterior and residual at each."""
     white = context.whiten(state.residual)
     s = max(1.0, float(np.sqrt(white @ white / len(white))))
     s = s if tempered and s > TEMPERED else 1.0
     reach, exact = REACH if tempered else FAR, True
-    for _ in range(renewals or RENEWALS):
+    for _ in range(renewals):
         model = _model(context, h, state.theta, white, known, own)
         before = _tempered(prior, state.theta, white, s)
         step, promised, expected = _downhill(model, prior, state.theta, reach, s, least)
@@ -313,7 +388,7 @@ def follow(
                 break
             s = max(1.0, s / COOLING)
             continue
-        cost, residual = cost_of(context, h, prior, state.theta + step)
+        cost, residual = yield state.theta + step
         there = context.whiten(residual) if np.isfinite(cost) else np.full(len(white), 1e9)
         gained = before - _tempered(prior, state.theta + step, there, s)
         if gained > 0:
@@ -335,7 +410,7 @@ def _own_carried(model: _Model, own: Array, step: Array, columns_at: Columns, th
     """Own columns a step further, by the second derivatives where those are known; and whether they are exact."""
     if any(change is None for change in model.plain) or not own.shape[1]:
         return columns_at(theta), True
-    p = model.known.shape[1]
+    p = model.p
     out = own.copy()
     for i, change in enumerate(model.plain):
         if change is not None:
@@ -343,20 +418,20 @@ def _own_carried(model: _Model, own: Array, step: Array, columns_at: Columns, th
     return out, False
 
 
-def held(context: Context, h: Hypothesis, prior: Prior, state: State, known: Known) -> State:
-    """Where the nuisances descend to while amplitudes and shapes stay."""
-    p = len(context.problem.nuisances)
-    nothing = np.zeros((len(state.residual), len(state.theta) - p))
-    loose = np.arange(len(state.theta)) >= p
+def held(context: Context, h: Hypothesis, prior: Prior, points: Sequence[Point], known: Known) -> list[State]:
+    """Where the nuisances descend to from several points while amplitudes and shapes stay."""
+    p, thetas = len(context.problem.nuisances), [theta_of(point) for point in points]
+    nothing = np.zeros((len(context.problem.data), len(thetas[0]) - p))
+    loose = np.arange(len(thetas[0])) >= p
     free = replace(prior, precision=np.where(loose, 0.0, prior.precision), slope=np.where(loose, 0.0, prior.slope))
-    start = replace(state, cost=cost_of(context, h, free, state.theta)[0])
-    return follow(context, h, free, start, known, nothing, lambda theta: nothing)[0]
+    begun = begin(context, h, free, points)
+    ended = follow(context, h, free, begun, known, [nothing] * len(begun), lambda theta: nothing)
+    return [replace(state, cost=state.cost - free.cost(state.theta) + prior.cost(state.theta)) for state, _, _ in ended]
 
 
-def begin(context: Context, h: Hypothesis, prior: Prior, point: Point) -> State:
-    theta = theta_of(point)
-    cost, residual = cost_of(context, h, prior, theta)
-    return State(theta, cost, residual)
+def begin(context: Context, h: Hypothesis, prior: Prior, points: Sequence[Point]) -> list[State]:
+    thetas = [theta_of(point) for point in points]
+    return [State(t, *cost) for t, cost in zip(thetas, _costs_of(context, h, prior, thetas), strict=True)]
 
 
 def still(context: Context, residual: Array) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis import descent, evidence, refit
-from benchsim.diagnosis.hypothesis import Context, Count, Hypothesis, Mixed, Point, values
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, each, values
 
 Array = NDArray[np.float64]
 
@@ -62,14 +62,7 @@ def foretell_all(
     context: Context, hypotheses: Sequence[Hypothesis], there: Mapping[str, float] | None = None
 ) -> list[Foretold | None]:
     """`foretell` of each, through `Problem.spread`; what is measured for them is kept in the context."""
-    # A pool cannot be sent to another process, nor perhaps ``further``; attachments are large.
-    sent = replace(context, problem=replace(context.problem, spread=map, further=None, attachments=()))
-    out: list[Foretold | None] = []
-    for found, mixed, predictions in context.problem.spread(partial(_apart, sent, there or {}), hypotheses):
-        out.append(found)
-        context.mixed.update(mixed)
-        context.count.predictions += predictions
-    return out
+    return each(context, partial(foretell, there=there), hypotheses)
 
 
 def foretell(context: Context, h: Hypothesis, there: Mapping[str, float] | None = None) -> Foretold | None:
@@ -95,25 +88,25 @@ def foretell(context: Context, h: Hypothesis, there: Mapping[str, float] | None 
     p, k, terms = len(context.problem.nuisances), len(h.amplitudes), h.terms()
     prior = descent.prior_of(context, h, context.scales[LOOSE], terms[len(terms) // 2].field_sigma)
 
-    def columns_at(theta: Array) -> Array:
-        return context.columns(values(context.problem, h, descent.point_of(theta, p, k)), h.amplitudes)
+    def columns_each(thetas: Sequence[Array]) -> list[Array]:
+        return context.columns_each(
+            [values(context.problem, h, descent.point_of(t, p, k)) for t in thetas], h.amplitudes
+        )
 
-    def followed(state: descent.State, renewals: int) -> descent.State:
-        own = columns_at(state.theta)
-        return descent.follow(
-            context, h, prior, state, stated, own, columns_at, tempered=False, renewals=renewals, least=LEAST
-        )[0]
+    def followed(states: Sequence[descent.State], renewals: int) -> list[descent.State]:
+        owns = columns_each([state.theta for state in states])
+        ended = descent.follow(
+            context, h, prior, states, stated, owns, lambda theta: columns_each([theta])[0],
+            tempered=False, renewals=renewals, least=LEAST,
+        )  # fmt: skip
+        return [state for state, _, _ in ended]
 
-    begun = (
-        descent.begin(context, h, prior, descent.point_of(np.append(np.zeros(p), q), p, k))
-        for q in _begun(h, there or {})
-    )
-    ends = [followed(state, 1) for state in begun if np.isfinite(state.cost)]
-    looks = FEWER if there else LOOKS
-    ends = _valleys([followed(state, looks) for state in _valleys(ends, p)], p)[:VALLEYS]
+    points = [descent.point_of(np.append(np.zeros(p), q), p, k) for q in _begun(h, there or {})]
+    ends = followed([state for state in descent.begin(context, h, prior, points) if np.isfinite(state.cost)], 1)
+    ends = _valleys(followed(_valleys(ends, p), FEWER if there else LOOKS), p)[:VALLEYS]
     if not ends:
         return None
-    state, own = ends[0], columns_at(ends[0].theta)
+    state, own = ends[0], columns_each([ends[0].theta])[0]
     point = descent.point_of(state.theta, p, k)
     known = descent.carried(context, h, stated, state.theta)
     lin = refit.about(context, h, point, state.residual, known, own)
@@ -122,13 +115,6 @@ def foretell(context: Context, h: Hypothesis, there: Mapping[str, float] | None 
     judged = replace(context, scales=context.scales[few], weights=context.weights[few])
     log_z = refit.log_evidence(judged, lin, lin.effect, terms)
     return Foretold(log_z, tuple(descent.point_of(end.theta, p, k) for end in ends))
-
-
-def _apart(context: Context, there: Mapping[str, float], h: Hypothesis) -> tuple[Foretold | None, Mixed, int]:
-    """`foretell`, what was measured for it, and the predictions that it took."""
-    own = replace(context, mixed=dict(context.mixed), count=Count())
-    found = foretell(own, h, there)
-    return found, {k: change for k, change in own.mixed.items() if k not in context.mixed}, own.count.predictions
 
 
 def _valleys(ends: list[descent.State], p: int) -> list[descent.State]:

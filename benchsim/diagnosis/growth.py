@@ -10,7 +10,7 @@ beside it from the stated settings (`foresight`).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from benchsim.diagnosis import evidence, foresight, refit, screen
 from benchsim.diagnosis.attempt import attempt
 from benchsim.diagnosis.fits import LARGEST, Effects
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, values
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, each, values
 from benchsim.diagnosis.linear import fit_value
 from benchsim.diagnosis.problem import Effect, Parameter
 from benchsim.diagnosis.screen import Catalogue
@@ -142,8 +142,9 @@ def _sizes(h: Hypothesis, solved: Solved) -> dict[str, float]:
 def _other_signs(context: Context, catalogue: Catalogue, best: Solved) -> Iterator[Solved]:
     """The same set from the other side of its amplitudes."""
     h = hypothesis_of(catalogue, best.fit.effects)
-    for point in _turned(context, h, _sizes(h, best), best):
-        yield _from_stated(context, h, point, best, _prior(catalogue, h.names))
+    turned = _turned(context, h, _sizes(h, best), best)
+    prior = _prior(catalogue, h.names)
+    yield from each(context, _fitted, [_from_stated(context, h, point, best, prior) for point in turned])
 
 
 def _turned(context: Context, h: Hypothesis, sizes: Mapping[str, float], best: Solved) -> list[Point]:
@@ -166,8 +167,26 @@ def _bends(context: Context, effect: Effect, a: Parameter, size: float) -> bool:
     return change is not None and float(np.linalg.norm(context.whiten(change[1]))) * size**2 > BENDING
 
 
-def _from_stated(context: Context, h: Hypothesis, point: Point, best: Solved, prior: float) -> Solved:
-    return refit.fit(context, h, [point], context.stated() or best.known, None, prior, hold=1)
+@dataclass(frozen=True)
+class _Begin:
+    """Where a set is fitted from: a point, the nuisances' columns nearby, and the prior of its presence.
+
+    ``stated`` says that the nuisances descend from there alone first (`refit.fit`, ``hold``).
+    """
+
+    hypothesis: Hypothesis
+    point: Point
+    known: Known
+    prior: float
+    stated: bool
+
+
+def _fitted(context: Context, b: _Begin) -> Solved:
+    return refit.fit(context, b.hypothesis, [b.point], b.known, None, b.prior, hold=int(b.stated))
+
+
+def _from_stated(context: Context, h: Hypothesis, point: Point, best: Solved, prior: float) -> _Begin:
+    return _Begin(h, point, context.stated() or best.known, prior, stated=True)
 
 
 def _without_each(
@@ -177,6 +196,7 @@ def _without_each(
     own = best.fit.effects
     smaller = [tuple(n for n in own if n != e) for e in own] if len(own) > 1 else []
     expected = log_z_about(context, catalogue, white, best, smaller) if smaller else {}
+    begun: list[_Begin] = []
     for effects in smaller:
         if expected[effects] < best.fit.log_evidence - REACH:
             continue
@@ -186,10 +206,10 @@ def _without_each(
         if not turned and was is not None and was.fit.converged and not refit.strayed(context, was):
             continue
         here = _at(h, sizes, best.fit.values, best.point.nuisance)
-        fits = [refit.fit(context, h, [here], best.known, None, prior)]
         plain = replace(here, nuisance=np.zeros_like(here.nuisance))
-        fits += [_from_stated(context, h, p, best, prior) for p in (plain, *turned)]
-        yield max(fits, key=lambda s: (s.fit.converged, s.fit.log_evidence))
+        begun.append(_Begin(h, here, best.known, prior, stated=False))
+        begun += [_from_stated(context, h, p, best, prior) for p in (plain, *turned)]
+    yield from sorted(each(context, _fitted, begun), key=lambda s: (s.fit.converged, s.fit.log_evidence), reverse=True)
 
 
 def _exchanged(

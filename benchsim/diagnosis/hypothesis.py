@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,8 @@ from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
 Array = NDArray[np.float64]
 Change = tuple[Array, Array] | None
+T = TypeVar("T")
+R = TypeVar("R")
 Mixed = dict[tuple[str, tuple[tuple[str, float], ...]], tuple[Array, Array]]
 
 
@@ -92,10 +96,15 @@ class Context:
 
     def columns(self, at: Mapping[str, float], parameters: Sequence[Parameter]) -> Array:
         """`linear.columns`, shapes stepped by 2 % of their range, predictions counted."""
+        return self.columns_each([at], parameters)[0]
+
+    def columns_each(self, points: Sequence[Mapping[str, float]], parameters: Sequence[Parameter]) -> list[Array]:
+        """`columns` at several points, predicted together."""
         blocks = len(self.problem.names)
-        self.count.predictions += sum(2 * (blocks if p.blocks is None else len(p.blocks)) for p in parameters)
+        each = sum(2 * (blocks if p.blocks is None else len(p.blocks)) for p in parameters)
+        self.count.predictions += each * len(points)
         steps = {p.name: 0.02 * span(p) for p in parameters if p.grid}
-        return linear.columns(self.problem, at, tuple(parameters), steps)
+        return linear.columns_at(self.problem, [(at, tuple(parameters)) for at in points], steps)
 
     def nuisance_columns(self, at: Mapping[str, float]) -> Array:
         """`columns` of all nuisances, per prior sigma."""
@@ -108,8 +117,12 @@ class Context:
 
     def predict(self, at: Mapping[str, float]) -> Array:
         """`linear.predict_all`, counted."""
-        self.count.predictions += len(self.problem.names)
-        return linear.predict_all(self.problem, at)
+        return self.predict_each([at])[0]
+
+    def predict_each(self, points: Sequence[Mapping[str, float]]) -> list[Array]:
+        """`predict` at several points, together."""
+        self.count.predictions += len(self.problem.names) * len(points)
+        return linear.predict_each(self.problem, points)
 
     def bending_at(self, at: Mapping[str, float], effects: Sequence[Effect]) -> Context:
         """The same for one hypothesis, with second derivatives measured about a point of it.
@@ -149,6 +162,28 @@ class Context:
             self.count.predictions += count
             self.mixed[key] = curvature.spread_out(self.problem, self.curvature, found), bend
         return self.mixed[key]
+
+
+def each(context: Context, call: Callable[[Context, T], R], items: Sequence[T]) -> list[R]:
+    """``call(context, item)`` of each, through `Problem.spread`; what is measured for them is kept in the context.
+
+    None sees what another measured: the same comes of it on any number of processes.
+    """
+    # A pool cannot be sent to another process, nor perhaps ``further``; attachments are large.
+    sent = replace(context, problem=replace(context.problem, spread=map, further=None, attachments=()))
+    out: list[R] = []
+    for found, mixed, predictions in context.problem.spread(partial(_apart, sent, call), items):
+        out.append(found)
+        context.mixed.update(mixed)
+        context.count.predictions += predictions
+    return out
+
+
+def _apart(context: Context, call: Callable[[Context, T], R], item: T) -> tuple[R, Mixed, int]:
+    """A call, what was measured for it, and the predictions that it took."""
+    own = replace(context, mixed=dict(context.mixed), count=Count())
+    found = call(own, item)
+    return found, {k: change for k, change in own.mixed.items() if k not in context.mixed}, own.count.predictions
 
 
 def span(p: Parameter) -> float:

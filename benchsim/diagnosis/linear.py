@@ -289,7 +289,14 @@ def predictions(problem: Problem, values: Sequence[Values], blocks: Sequence[int
 
 def predict_all(problem: Problem, at: Values) -> Array:
     """The prediction of all blocks, (n,)."""
-    return np.concatenate(predictions(problem, [at] * len(problem.names), range(len(problem.names))))
+    return predict_each(problem, [at])[0]
+
+
+def predict_each(problem: Problem, points: Sequence[Values]) -> list[Array]:
+    """`predict_all` at several points, which are asked for at once."""
+    blocks = range(len(problem.names))
+    found = iter(predictions(problem, [at for at in points for _ in blocks], [b for _ in points for b in blocks]))
+    return [np.concatenate([next(found) for _ in blocks]) for _ in points]
 
 
 def linearise(

@@ -26,6 +26,7 @@ from benchsim.diagnosis import evidence, settings
 from benchsim.diagnosis.descent import (
     TEMPERED,
     State,
+    Steps,
     begin,
     carried,
     descend,
@@ -36,7 +37,6 @@ from benchsim.diagnosis.descent import (
     prior_of,
     promised_by,
     sizes_of,
-    step_of,
     still,
     theta_of,
 )
@@ -229,11 +229,11 @@ def fit(
     # Far from the fit the residual would ask for the largest scale: it is settled after the first descent.
     hyper = (0, chosen(theta, residual, known, own)[1])
     prior = prior_of(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
-    state = begin(context, h, prior, starts[0])
     if hold:
-        begun = [held(context, h, prior, begin(context, h, prior, s), known).theta for s in starts[:hold]]
-        state = min((begin(context, h, prior, point_of(t, p, k)) for t in begun), key=lambda s: s.cost)
+        state = min(held(context, h, prior, starts[:hold], known), key=lambda s: s.cost)
         own, starts = columns_at(state.theta), starts[hold - 1 :]
+    else:
+        (state,) = begin(context, h, prior, starts[:1])
     converged, checked, before, stalled, promise, anew = False, 0, np.inf, False, np.inf, False
     for turn in range(rounds or ROUNDS):
         last, cost = state.theta, state.cost
@@ -254,9 +254,9 @@ def fit(
         if now != hyper and turn < SETTLED:
             hyper, still_there = now, False
             prior = prior_of(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
-            state = begin(context, h, prior, point_of(state.theta, p, k))
+            (state,) = begin(context, h, prior, [point_of(state.theta, p, k)])
         normal = normal_form(white(known.columns, own), context.whiten(state.residual), prior, state.theta)
-        promised, promise = promise, step_of(normal, prior, state.theta, p)[1]
+        promised, promise = promise, Steps(normal, prior, state.theta, p).within()[1]
         if stalled:
             # Where the data bend strongly, derivatives of first order promise what cannot be had.
             promise = min(promise, promised_by(context, h, prior, state, known, own))
@@ -276,7 +276,7 @@ def fit(
         if checked >= len(starts) - 1:
             break
         checked += 1
-        other = begin(context, h, prior, starts[checked])
+        (other,) = begin(context, h, prior, starts[checked : checked + 1])
         if np.isfinite(other.cost):
             other, its = descend(
                 context, h, prior, other, context.stated() or known, columns_at(other.theta), columns_at

@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
-from benchsim.bench.curve import Curve, signed_distance
+from benchsim.bench.curve import Curve, signed_distances
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.model import Exposure, Physics, Recording
+from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import Placement, SettingErrors, place, places
 from benchsim.rays import stack
 from benchsim.rays.bench import Bench
@@ -105,11 +104,12 @@ def predict(
     BenchsimError
         For an effect or parameter that does not exist, and as `curve.trace_curve`.
     """
-    bench = bench_of(recording, exposure, errors, shape, blur)
+    mixture = _mixture(bench_of(recording, exposure, errors, shape, blur))
     try:
-        return _mixture(bench, samples, width=width)
+        curves = [_with_ghost(bench, samples, width=width) for bench in mixture.benches]
     except BenchsimError as error:
         raise BenchsimError(f"{exposure.name}: {error}") from None
+    return _mixed([(mixture.shares, curves)], width=width)[0]
 
 
 def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True) -> list[Curve | None]:
@@ -118,8 +118,7 @@ def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True
     Parameters
     ----------
     cases : sequence of Case
-        Of any exposures. Cases of equal or no effects gain most; free fields, single rays and physics mixed by
-        amplitudes gain nothing.
+        Of any exposures. Cases of equal or no effects gain most; free fields and single rays gain nothing.
     samples, width
         As `predict`.
 
@@ -135,21 +134,32 @@ def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True
     """
     known: dict[Hashable, Elements] = {}
     shared: dict[Hashable, Any] = {}
-    benches = []
+    mixtures = []
     for (recording, exposure, _, shape, blur), stands in zip(cases, _stand(cases), strict=True):
         # By identity: recordings hold tables, which are compared slowly. The cases keep them alive.
         key = id(recording), id(exposure), shape
         if key not in known:
             known[key] = elements(recording, exposure, shape, shared)
-        benches.append(_bench(recording, exposure, stands, known[key], blur))
-    out: list[Curve | None] = [None] * len(benches)
+        mixtures.append(_mixture(_bench(recording, exposure, stands, known[key], blur)))
+    benches = [bench for mixture in mixtures for bench in mixture.benches]
+    curves: list[Curve | None] = [None] * len(benches)
     for group in stack.groups(benches, TOGETHER):
         if len(group) > 1:
             found = _alike([benches[i] for i in group], samples, width=width)
         else:
             found = [_or_none(benches[i], samples, width=width) for i in group]
         for i, curve in zip(group, found, strict=True):
-            out[i] = curve
+            curves[i] = curve
+    out: list[Curve | None] = [None] * len(cases)
+    lit: dict[int, tuple[tuple[float, ...], list[Curve]]] = {}
+    first = 0
+    for i, mixture in enumerate(mixtures):
+        own = [c for c in curves[first : first + len(mixture.benches)] if c is not None]
+        first += len(mixture.benches)
+        if len(own) == len(mixture.benches):
+            lit[i] = mixture.shares, own
+    for i, curve in zip(lit, _mixed(list(lit.values()), width=width), strict=True):
+        out[i] = curve
     return out
 
 
@@ -166,7 +176,7 @@ def _stand(cases: Sequence[Case]) -> list[Placement]:
 
 def _or_none(bench: Bench, samples: int, *, width: bool) -> Curve | None:
     try:
-        return _mixture(bench, samples, width=width)
+        return _with_ghost(bench, samples, width=width)
     except BenchsimError:
         return None
 
@@ -182,51 +192,89 @@ def _alike(benches: Sequence[Bench], samples: int, *, width: bool) -> list[Curve
     return out if width else [None if curve is None else replace(curve, width=None) for curve in out]
 
 
-def _mixture(bench: Bench, samples: int, *, width: bool) -> Curve:
-    """The trace, mixed of those with and without what the physics leaves out."""
-    has = bench.physics
+class _Mixture(NamedTuple):
+    """Benches without and with what the physics leaves out, whose light an effect mixes, and the share of each.
+
+    From the first one's trace the others' are measured, whatever its share.
+    """
+
+    benches: tuple[Bench, ...]
+    shares: tuple[float, ...]
+
+
+def _mixture(bench: Bench) -> _Mixture:
+    """The one bench where nothing is mixed."""
+    has, parts = bench.physics, bench.parts
     amounts = {
         name: amount
         for name, amount in (
-            ("facets", bench.parts.polygon.facets),
-            ("beam", bench.parts.source.beam),
-            ("diffraction", bench.parts.diffraction),
+            ("facets", parts.polygon.facets),
+            ("beam", parts.source.beam),
+            ("diffraction", parts.diffraction),
         )
         if amount and not getattr(has, name)
     }
     if not amounts:
-        return _with_ghost(bench, samples, width=width)
-    base = _with_ghost(bench, samples, width=width)
-    s0 = base.arc_length()
-    normal = left_of(tangents(base.points))
-    offset, wide = np.zeros(len(s0)), np.zeros(len(s0))
-    relative, level = np.zeros(len(s0)), 0.0
-    phase, parting = np.zeros(len(s0)), np.zeros(len(s0))
+        return _Mixture((bench,), (1.0,))
+    plain = replace(
+        parts, polygon=replace(parts.polygon, facets=0.0), source=replace(parts.source, beam=0.0), diffraction=0.0
+    )
+    benches: list[Bench] = []
+    shares: list[float] = []
     for choice in product((False, True), repeat=len(amounts)):
         share = float(np.prod([a if on else 1 - a for a, on in zip(amounts.values(), choice, strict=True)]))
-        if share == 0:
-            continue
-        physics = replace(has, **dict(zip(amounts, choice, strict=True)))
-        curve = base if physics == has else _corner(bench, physics, samples, width=width)
-        d, s = signed_distance(curve, base.points) if curve is not base else (np.zeros(len(s0)), s0)
-        at = curve.arc_length()
-        assert curve.flux is not None and curve.phase is not None
-        flux = np.interp(s, at, curve.flux) if curve is not base else curve.flux
+        if share or not benches:
+            physics = replace(has, **dict(zip(amounts, choice, strict=True)))
+            benches.append(replace(bench, physics=physics, parts=plain))
+            shares.append(share)
+    return _Mixture(tuple(benches), tuple(shares))
+
+
+def _mixed(mixtures: Sequence[tuple[Sequence[float], Sequence[Curve]]], *, width: bool) -> list[Curve]:
+    """Of every mixture its trace, from the shares and traces of its benches."""
+    lines = [(m, curve) for m, (_, curves) in enumerate(mixtures) if len(curves) > 1 for curve in curves[1:]]
+    feet: dict[int, list[tuple[Array, Array, Array]]] = {}
+    if lines:
+        traced, phases = np.stack([c.points for _, c in lines]), np.stack([_given(c.phase) for _, c in lines])
+        at = np.stack([mixtures[m][1][0].points for m, _ in lines])
+        distance, s, phase = signed_distances(traced, at, phases[..., None])
+        assert phase is not None
+        for (m, _), *foot in zip(lines, distance, s, phase[..., 0], strict=True):
+            feet.setdefault(m, []).append((foot[0], foot[1], foot[2]))
+    return [
+        _sum(shares, curves, feet[m], width=width) if m in feet else curves[0]
+        for m, (shares, curves) in enumerate(mixtures)
+    ]
+
+
+def _sum(
+    shares: Sequence[float], curves: Sequence[Curve], feet: Sequence[tuple[Array, Array, Array]], *, width: bool
+) -> Curve:
+    """One mixture's trace. ``feet``: of every curve but the first, distances of the first's points, the arc lengths of
+    their feet, and the phases there."""
+    base = curves[0]
+    none = np.zeros(len(base.points)), base.arc_length(), _given(base.phase)
+    offset, wide, relative, phase, parting = np.zeros((5, len(base.points)))
+    level = 0.0
+    for share, curve, (d, s, turned) in zip(shares, curves, (none, *feet), strict=True):
+        at, flux = curve.arc_length(), _given(curve.flux)
         offset -= share * d
-        relative += share * flux / curve.flux.mean()
-        level += share * float(curve.flux.mean())
-        phase += share * (CubicSpline(at, curve.phase)(s) if curve is not base else curve.phase)
+        relative += share * np.interp(s, at, flux) / flux.mean()
+        level += share * float(flux.mean())
+        phase += share * turned
         if curve.parting is not None:
             parting += share * np.interp(s, at, curve.parting)
         if curve.width is not None:
             wide += share * np.interp(s, at, curve.width) ** 2
     # Of a mixture of lights it is the second moment that mixes; shares beyond 0 … 1 can make it negative.
     spread = np.sqrt(np.maximum(wide, 0.0)) if width else None
+    normal = left_of(tangents(base.points))
     return Curve(base.points + offset[:, None] * normal, spread, relative * level, phase, parting)
 
 
-def _corner(bench: Bench, physics: Physics, samples: int, *, width: bool) -> Curve:
-    return _with_ghost(replace(bench, physics=physics), samples, width=width)
+def _given(values: Array | None) -> Array:
+    assert values is not None
+    return values
 
 
 def _with_ghost(bench: Bench, samples: int, *, width: bool) -> Curve:

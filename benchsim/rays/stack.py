@@ -24,17 +24,12 @@ FEWEST = 8
 def alike(bench: Bench) -> Hashable | None:
     """Benches of equal answers can be stacked; None: this one cannot, with any.
 
-    Left out are free fields, single rays, and physics mixed by amplitudes: they are rare.
+    Left out are free fields and single rays: they are rare. What amplitudes mix is no one bench (`prediction`).
     """
     parts, has = bench.parts, bench.physics
     polygon, source = parts.polygon, parts.source
     plain = parts.air.kick is None and parts.board.height is None and source.angle is None and not polygon.uneven
-    mixed = (
-        (polygon.facets and not has.facets)
-        or (source.beam and not has.beam)
-        or (parts.diffraction and not has.diffraction)
-    )
-    if not plain or mixed or not has.beam:
+    if not plain or not has.beam:
         return None
     return (
         bench.mirror,

@@ -37,6 +37,9 @@ FAR = 1e3
 TOGETHER = 64
 """Curves that are held against the data at once, which bounds the memory."""
 
+KEPT = 16
+"""Predictions whose light is kept: of as many points as a descent follows at once."""
+
 ASIDE = 0.5
 """To either side of a line [mm] for how it is stretched: lines are so wide, lenses and boards bend over decimetres."""
 
@@ -159,7 +162,7 @@ class Predict:
                 # One of them holds a value that an element cannot take.
                 continue
             found.update(zip(some, curves, strict=True))
-            if len(some) <= len(self.blocks):
+            if len(some) <= KEPT * len(self.blocks):
                 for key, curve in zip(some, curves, strict=True):
                     if curve is not None:
                         self._keep(key, curve)
@@ -180,7 +183,7 @@ class Predict:
         return frozenset((k, v) for k, v in values.items() if v and k not in self.aside)
 
     def _keep(self, key: Any, curve: Curve) -> None:
-        while len(self.cache) >= 2 * len(self.blocks):
+        while len(self.cache) >= KEPT * len(self.blocks):
             self.cache.pop(next(iter(self.cache)))
         self.cache[key] = curve
 
