@@ -225,6 +225,12 @@ def _remarks(problem: Problem, naming: Naming, best: Best, findings: Findings, s
             f"{' + '.join(findings.claim.best)} would explain the data if the settings were {findings.scale:.2g} times "
             "as far off as stated: either those statements are wrong, or something else is missing."
         )
+    elif findings.refuted and findings.claim is not None:
+        part = 100 * min(findings.part_left, 1.0)
+        out.append(
+            f"{' + '.join(findings.claim.best)} is the nearest name and is not said: of what shows that something is "
+            f"missing it leaves {part:.0f} %, which nothing explains, so that it may stand for something else."
+        )
     elif findings.claim is not None and not findings.stands:
         of = findings.free[0].attachment
         out.append(

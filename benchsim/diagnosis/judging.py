@@ -86,6 +86,10 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     missing = findings.claim is not None or findings.something_left
     place = _place(problem, naming, best, findings, modes, on) if missing else None
     said = verdict.verdict(findings, place)
+    if findings.stands and said == "unexplained" and findings.part_left > verdict.LEFT:
+        findings, on = replace(findings, refuted=True), naming.null
+        place = _place(problem, naming, best, findings, modes, on)
+        said = verdict.verdict(findings, place)
     lone = findings.claim.lone if findings.claim is not None and findings.stands else ()
     stated = widened(problem, naming.noise.covariance, best.fit, lone)
     found, more_notes = verdict.found(problem, findings, stated, best.hypotheses)

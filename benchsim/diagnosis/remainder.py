@@ -47,6 +47,15 @@ class Remainder:
     def acceptable(self) -> bool:
         return self.p >= ALARM
 
+    def part_of(self, before: Remainder) -> float:
+        """Of the family that shows the most: its excess χ² as a part of what that family showed before."""
+        excess = {name: statistic - rank for name, (statistic, rank) in self.families.items()}
+        worst = max(excess, key=lambda name: excess[name], default="")
+        if not worst or excess[worst] <= 0:
+            return 0.0
+        statistic, rank = before.families.get(worst, (0.0, 0))
+        return excess[worst] / max(statistic - rank, 1e-300)
+
 
 @dataclass(frozen=True)
 class Modes:

@@ -54,6 +54,25 @@ def test_named_and_class_only_where_nothing_is_left():
     assert {verdict(findings(left=b, classes=c), HERE) for b in (GOOD, BAD) for c in ((), two)} <= set(VERDICTS)
 
 
+def test_what_names_leave_is_a_part_of_what_shows_that_something_is_missing():
+    before = Remainder(1e-9, {"c": (212.0, 12), "w": (14.0, 12)})
+    after = Remainder(1e-5, {"c": (62.0, 12), "w": (20.0, 12)})
+    assert after.part_of(before) == pytest.approx(50 / 200)
+    assert Remainder(0.5, {"c": (9.0, 12)}).part_of(before) == 0
+    # What shows only beside the names is all the more against them.
+    assert Remainder(1e-5, {"pulls": (40.0, 12)}).part_of(before) > 1
+    assert findings(left=after, left_null=before).part_left == pytest.approx(0.25)
+    assert findings(more=(55.0,)).part_left == pytest.approx(0.1)
+    assert findings(more=(54.0,)).part_left == 0
+    assert findings().part_left == 0
+
+
+def test_names_that_leave_much_unexplained_are_not_said():
+    refuted = replace(findings(left=BAD), refuted=True)
+    assert not refuted.stands
+    assert verdict(refuted, OPEN) == "unexplained" and verdict(refuted, HERE) == "located"
+
+
 def test_a_name_below_the_best_function_is_not_said():
     worse = findings(log_evidence=50.0, free=(51.0,), more=(48.0,))
     assert worse.margin == pytest.approx(-1) and not worse.stands
