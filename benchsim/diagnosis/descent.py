@@ -419,7 +419,8 @@ def _own_carried(model: _Model, own: Array, step: Array, columns_at: Columns, th
 
 
 def held(context: Context, h: Hypothesis, prior: Prior, points: Sequence[Point], known: Known) -> list[State]:
-    """Where the nuisances descend to from several points while amplitudes and shapes stay."""
+    """Where the nuisances descend to from several points while amplitudes and shapes all but stay: of what they do, the
+    model has only what they and the nuisances do together."""
     p, thetas = len(context.problem.nuisances), [theta_of(point) for point in points]
     nothing = np.zeros((len(context.problem.data), len(thetas[0]) - p))
     loose = np.arange(len(thetas[0])) >= p

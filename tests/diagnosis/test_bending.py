@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import curvature, foresight, naming, refit, screen, search, settings, starts
+from benchsim.diagnosis import curvature, descent, foresight, naming, refit, screen, search, settings, starts
 from benchsim.diagnosis.fits import Fit
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, whitener
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, values, whitener
 from benchsim.diagnosis.linear import linearise, predict_all
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
@@ -182,6 +182,47 @@ def test_foresight_in_other_processes_is_the_same():
     assert here.mixed.keys() == there.mixed.keys() != set()
     assert here.count == there.count
     assert [f.log_evidence for f in found] == [foresight.foretell(here, h).log_evidence for h in hypotheses]
+
+
+def test_points_that_are_followed_together_end_where_each_does_alone():
+    """Scenario: four starts of one amplitude, of which one ends at once, are told what they ask in the same turns."""
+    made = problem(TRUTH)
+    context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
+    h, stated = Hypothesis(CATALOGUE[:1]), context.stated()
+    prior = descent.prior_of(context, h, 1.0, h.terms()[0].field_sigma)
+    sizes = [-2.6, 2.0, 0.3, -0.5]
+    points = [Point(np.array([1.3, 0.8, -1.1, -1.2]) * (q == -2.6), np.array([q]), np.zeros(0)) for q in sizes]
+    begun = descent.begin(context, h, prior, points)
+
+    def columns_at(theta):
+        at = values(made, h, descent.point_of(theta, 4, 1))
+        return context.columns(at, h.amplitudes)
+
+    owns = [columns_at(state.theta) for state in begun]
+    together = descent.follow(context, h, prior, begun, stated, owns, columns_at)
+    for state, own, (ended, its, exact) in zip(begun, owns, together, strict=True):
+        ((alone, columns, also),) = descent.follow(context, h, prior, [state], stated, [own], columns_at)
+        np.testing.assert_allclose(ended.theta, alone.theta, rtol=1e-12)
+        np.testing.assert_allclose(its, columns, rtol=1e-12)
+        assert (ended.cost, exact) == (pytest.approx(alone.cost), also)
+        assert ended.cost <= state.cost
+    assert descent.follow(context, h, prior, [], stated, [], columns_at) == []
+
+
+def test_settings_descend_while_amplitudes_all_but_stay():
+    """Scenario: on either side of an amplitude, which moves only by what bends between it and the settings."""
+    made = problem(TRUTH)
+    context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
+    h, stated = Hypothesis(CATALOGUE[:1]), context.stated()
+    prior = descent.prior_of(context, h, 1.0, h.terms()[0].field_sigma)
+    points = [Point(np.zeros(4), np.array([q]), np.zeros(0)) for q in (TRUTH["q"], -TRUTH["q"])]
+    right, wrong = descent.held(context, h, prior, points, stated)
+    np.testing.assert_allclose([right.theta[4], wrong.theta[4]], [TRUTH["q"], -TRUTH["q"]], rtol=0.05)
+    np.testing.assert_allclose(right.theta[:4], [1.3, 0.8, -1.1, -1.2], atol=0.1)
+    assert right.cost < wrong.cost - 100
+    # What comes back counts the amplitude's prior, though it was none while it stood.
+    (again,) = descent.begin(context, h, prior, [descent.point_of(right.theta, 4, 1)])
+    assert right.cost == pytest.approx(again.cost)
 
 
 def test_foresight_says_when_it_cannot():

@@ -7,6 +7,7 @@ is set by hand.
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -83,6 +84,21 @@ def test_a_fit_on_the_wrong_side_of_a_width_is_begun_again_from_the_other():
     assert now.converged and abs(now.values["q"] - 0.5) < 4 * now.sigma["q"]
     assert now.log_evidence > was.log_evidence + 3
     assert table.log_z[("defocus",)] == now.log_evidence
+
+
+def test_fits_in_other_processes_are_the_same():
+    """Scenario: the fits that a best one is held against go to a pool, one each; what they measured comes back."""
+    sent = []
+
+    def elsewhere(function, *tasks):
+        sent.append(function)
+        return [pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(function))(*t))) for t in zip(*tasks, strict=True)]
+
+    made, start = problem({"q": 0.5}), {("defocus", "lean"): [-2.4, 0.0]}
+    _, here, _ = settled(made, start)
+    _, there, _ = settled(replace(made, spread=elsewhere), start)
+    assert any(f is not predict for f in sent)
+    assert {e: s.fit.log_evidence for e, s in there.items()} == {e: s.fit.log_evidence for e, s in here.items()}
 
 
 def test_a_good_fit_stays_what_it_is():

@@ -108,7 +108,7 @@ def _counted(function, calls):
 
 
 def test_what_cannot_be_stacked_is_worked_out_alone(lab):
-    """Single rays, mixtures of physics, free fields and gated exposures among plain cases."""
+    """Single rays, free fields and gated exposures among plain cases and a mixture of physics."""
     rng = np.random.default_rng(2)
     heights = field([np.linspace(-350, 350, 5)] * 2, 0.2 * rng.normal(size=(1, 5, 5)))
     gated = replace(lab.exposure, facet=3)
@@ -124,6 +124,40 @@ def test_what_cannot_be_stacked_is_worked_out_alone(lab):
     ]
     for case, many in zip(cases, predict_many(cases, 24), strict=True):
         equal(predict(*case[:3], 24), many)
+
+
+def test_mixtures_of_physics_are_sums_of_their_lights(lab):
+    """Scenario: of what the physics leaves out amplitudes mix facets, beam and diffraction, as many together as alone,
+    beside plain cases. Flux and squared width of each are those of its lights, each traced by itself, in their
+    shares."""
+    rng = np.random.default_rng(4)
+    amounts = [(0.9, 1.05, 0.4), (1.0, 1.0, 1.0), (0.0, 0.7, 0.0), (0.3, 0.0, 1.0)]
+    cases = [Case(lab.bench(physics=lab.pencil), lab.exposure)]
+    for facets, beam, fresnel in amounts:
+        effects = {"facets": {"facets": facets}, "finite-beam": {"beam": beam}, "diffraction": {"fresnel": fresnel}}
+        errors = from_vector(0.3 * PRIOR * rng.normal(size=13))
+        cases.append(Case(lab.bench(effects, physics=lab.pencil), lab.exposure, errors, blur=0.2))
+    found = predict_many(cases, 32)
+    for case, many in zip(cases, found, strict=True):
+        equal(predict(*case[:3], 32, blur=case.blur), many, wide=1e-7)
+    for case, many, own in zip(cases[1:], found[1:], amounts, strict=True):
+        level, squares = 0.0, 0.0
+        for corner in np.ndindex(2, 2, 2):
+            share = float(np.prod([a if on else 1 - a for a, on in zip(own, corner, strict=True)]))
+            light = predict(lab.bench(physics=Physics(*map(bool, corner))), *case[1:3], 32, blur=case.blur)
+            level += share * light.flux.mean()
+            squares += share * np.interp(0.5, np.linspace(0, 1, 32), light.width) ** 2
+        assert many.flux.mean() == pytest.approx(level, rel=2e-3)
+        assert np.interp(0.5, np.linspace(0, 1, 32), many.width) ** 2 == pytest.approx(squares, rel=2e-2)
+
+
+def test_a_mixture_one_of_whose_lights_misses_the_board_is_none(lab):
+    below = from_vector(np.array([0.0] * 6 + [-1.5] + [0.0] * 6))
+    mixed = lab.bench({"finite-beam": {"beam": 0.5}}, physics=lab.pencil)
+    found = predict_many([Case(mixed, lab.exposure, e) for e in (lab.off, below)], 24)
+    assert found[0] is not None and found[1] is None
+    with pytest.raises(BenchsimError, match="7a: "):
+        predict(mixed, lab.exposure, below, 24)
 
 
 @pytest.mark.parametrize("physics", [Physics(), Physics(False, True, True)])
