@@ -159,7 +159,7 @@ def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
     data = draw.noisy(nominal, predict_all(lit, at) - lit.data + nominal.data, truth, rng)
     d, line = diagnosed(without(replace(nominal, data=data), row, truth), truth, on.bends)
     yield line
-    if fresh and case % fresh == 0:
+    if fresh and case % fresh == fresh - 1:
         amended = amend.amended(recording, d)
         if amend.put_in(recording, amended):
             # The same bench set up once more: errors of the settings and noise are new, its beam and lenses are not.

@@ -101,8 +101,8 @@ class Context:
     def columns_each(self, points: Sequence[Mapping[str, float]], parameters: Sequence[Parameter]) -> list[Array]:
         """`columns` at several points, predicted together."""
         blocks = len(self.problem.names)
-        each = sum(2 * (blocks if p.blocks is None else len(p.blocks)) for p in parameters)
-        self.count.predictions += each * len(points)
+        needed = sum(2 * (blocks if p.blocks is None else len(p.blocks)) for p in parameters)
+        self.count.predictions += needed * len(points)
         steps = {p.name: 0.02 * span(p) for p in parameters if p.grid}
         return linear.columns_at(self.problem, [(at, tuple(parameters)) for at in points], steps)
 
