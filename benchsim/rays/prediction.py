@@ -232,17 +232,21 @@ def _mixture(bench: Bench) -> _Mixture:
 
 def _mixed(mixtures: Sequence[tuple[Sequence[float], Sequence[Curve]]], *, width: bool) -> list[Curve]:
     """Of every mixture its trace, from the shares and traces of its benches."""
-    lines = [(m, curve) for m, (_, curves) in enumerate(mixtures) if len(curves) > 1 for curve in curves[1:]]
-    feet: dict[int, list[tuple[Array, Array, Array]]] = {}
-    if lines:
-        traced, phases = np.stack([c.points for _, c in lines]), np.stack([_given(c.phase) for _, c in lines])
-        at = np.stack([mixtures[m][1][0].points for m, _ in lines])
+    # Where the mirror misses a part of the beam a trace has fewer points.
+    alike: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for m, (_, curves) in enumerate(mixtures):
+        for k, curve in enumerate(curves[1:], 1):
+            alike.setdefault((len(curve.points), len(curves[0].points)), []).append((m, k))
+    feet: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
+    for members in alike.values():
+        some = [mixtures[m][1][k] for m, k in members]
+        traced, phases = np.stack([c.points for c in some]), np.stack([_given(c.phase) for c in some])
+        at = np.stack([mixtures[m][1][0].points for m, _ in members])
         distance, s, phase = signed_distances(traced, at, phases[..., None])
         assert phase is not None
-        for (m, _), *foot in zip(lines, distance, s, phase[..., 0], strict=True):
-            feet.setdefault(m, []).append((foot[0], foot[1], foot[2]))
+        feet.update(zip(members, zip(distance, s, phase[..., 0], strict=True), strict=True))
     return [
-        _sum(shares, curves, feet[m], width=width) if m in feet else curves[0]
+        _sum(shares, curves, [feet[m, k] for k in range(1, len(curves))], width=width) if len(curves) > 1 else curves[0]
         for m, (shares, curves) in enumerate(mixtures)
     ]
 

@@ -151,6 +151,15 @@ def test_mixtures_of_physics_are_sums_of_their_lights(lab):
         assert np.interp(0.5, np.linspace(0, 1, 32), many.width) ** 2 == pytest.approx(squares, rel=2e-2)
 
 
+def test_lights_of_a_mixture_may_have_traces_of_different_length(lab):
+    """Scenario: the mirror misses a part of one light's beam, whose trace then has fewer points."""
+    short, long = predict(lab.recording, lab.exposure, lab.off, 24), predict(lab.recording, lab.exposure, lab.off, 32)
+    apart, alike = prediction._mixed([((0.5, 0.5), [long, short]), ((0.5, 0.5), [long, long])], width=True)
+    assert np.abs(apart.points - long.points).max() < 1e-3
+    np.testing.assert_allclose(alike.points, long.points, atol=1e-9)
+    np.testing.assert_allclose(apart.phase, alike.phase, atol=1e-6)
+
+
 def test_a_mixture_one_of_whose_lights_misses_the_board_is_none(lab):
     below = from_vector(np.array([0.0] * 6 + [-1.5] + [0.0] * 6))
     mixed = lab.bench({"finite-beam": {"beam": 0.5}}, physics=lab.pencil)
