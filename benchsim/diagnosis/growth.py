@@ -2,9 +2,9 @@
 
 Fits that bend have valleys, and a search that grows from one fit to the next ends in the valley that it began in. The
 best set is fitted once more without each of its effects and with amplitudes of the other sign; sets that share all but
-one effect with it, and were lost, are begun again from where it found its way. Where even the best left the stated
-settings or misses the data, what else came near by itself is put beside it, and every other single effect is sought
-beside it from the stated settings (`foresight`).
+one effect with it, and were lost, are begun again from where it found its way; an effect with a place is placed anew
+beside the others. Where even the best left the stated settings or misses the data, what else came near by itself is put
+beside it, and every other single effect is sought beside it from the stated settings (`foresight`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis import evidence, foresight, refit, screen
+from benchsim.diagnosis import evidence, foresight, refit, screen, starts
+from benchsim.diagnosis.attachments import with_columns
 from benchsim.diagnosis.attempt import attempt
 from benchsim.diagnosis.fits import LARGEST, Effects
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, each, values
@@ -101,6 +102,7 @@ def settle(
         grown.add(best.fit.effects)
         keep(_grown(context, catalogue, best, done))
     keep(_exchanged(context, catalogue, leader(done), done))
+    keep(_placed_anew(context, catalogue, leader(done)))
 
 
 def leader(done: Mapping[Effects, Solved]) -> Solved:
@@ -171,7 +173,8 @@ def _bends(context: Context, effect: Effect, a: Parameter, size: float) -> bool:
 class _Begin:
     """Where a set is fitted from: a point, the nuisances' columns nearby, and the prior of its presence.
 
-    ``stated`` says that the nuisances descend from there alone first (`refit.fit`, ``hold``).
+    ``stated``: they are not those that go with the point, so that they descend from there alone first (`refit.fit`,
+    ``hold``).
     """
 
     hypothesis: Hypothesis
@@ -228,6 +231,33 @@ def _exchanged(
         cost = [_misfit(context, h, p) for p in points]
         chosen = points[int(np.argmin(cost))]
         yield refit.fit(context, h, [chosen], best.known, None, _prior(catalogue, effects), hold=1)
+
+
+def _placed_anew(context: Context, catalogue: Catalogue, best: Solved) -> Iterator[Solved]:
+    """The best set with an effect that has a place put where the others of the set, as they are, leave room for it.
+
+    Alone it was placed where it stood in for them, too, and from there a descent does not come back.
+    """
+    h, prior = hypothesis_of(catalogue, best.fit.effects), _prior(catalogue, best.fit.effects)
+    begun: list[_Begin] = []
+    for e in h.effects if len(h.effects) > 1 else ():
+        if not evidence.shapes(e):
+            continue
+        own = evidence.amplitudes(e)
+        others = np.array([a not in own for a in h.amplitudes])
+        without = {**best.fit.values, **{a.name: 0.0 for a in own}}
+        linear, sizes = best.fit.linear, best.point.amplitude * others
+        seen = context.whiten(context.problem.data - context.predict(without))
+        seen = seen + linear.nuisance @ best.point.nuisance + linear.effect @ sizes
+        sigma = np.array([a.sigma**a.power for a in h.amplitudes])
+        there = with_columns(replace(linear, residual=seen), (linear.effect * sigma)[:, others])
+        about = starts.Ground(there, without, best.fit.setting_scale)
+        for (node,) in starts.best_nodes(context, catalogue, Hypothesis((e,)), about):
+            size, place = starts.placed(context, e, catalogue.nodes[e.name][node].shape, about)
+            at = _sizes(h, best) | {a.name: q for a, q in zip(own, size, strict=True)}
+            point = _at(h, at, {**best.fit.values, **place}, best.point.nuisance)
+            begun.append(_Begin(h, point, best.known, prior, stated=True))
+    yield from each(context, _fitted, begun)
 
 
 def _scan(effect: Effect) -> list[dict[str, float]]:

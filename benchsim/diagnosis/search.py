@@ -113,6 +113,7 @@ def search(
         _challenge(walk)
         if again:
             _null_again(context, walk.catalogue, table, walk.done)
+    _recant(walk)
     return table, walk.done
 
 
@@ -221,6 +222,24 @@ def _challenge(walk: _Walk) -> None:
         solved = attempt(context, catalogue, effects, source, done, expected, table.begin.get(effects, ()))
         done[effects] = solved
         table.log_z[effects], table.source[effects] = solved.fit.log_evidence, source.fit.effects
+
+
+def _recant(walk: _Walk) -> None:
+    """Weigh again, about the best fit, what was weighed about one that misses the data and was never refitted.
+
+    Far from the data a linearisation promises anything: beside a fit to within the noise such a promise, hundreds
+    above it, would keep a name from being said.
+    """
+    context, table, done = walk.context, walk.table, walk.done
+    best = max((s for s in done.values() if s.fit.converged), key=lambda s: s.fit.log_evidence, default=walk.null)
+    if not best.fit.effects or refit.misses(context, best):
+        return
+    lost = {e for e, s in done.items() if refit.misses(context, s)}
+    near = best.fit.log_evidence - MATTERS
+    stale = [e for e, z in table.log_z.items() if e not in done and z > near and table.source[e] in lost]
+    for effects, z in log_z_about(context, walk.catalogue, walk.white, best, stale).items():
+        if z < table.log_z[effects]:
+            table.log_z[effects], table.source[effects] = z, best.fit.effects
 
 
 def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_z: dict[Effects, float]) -> None:
