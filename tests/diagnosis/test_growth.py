@@ -188,6 +188,31 @@ def test_a_place_that_made_up_for_another_effect_is_sought_again_beside_it():
     assert not list(growth._placed_anew(context, catalogue, replace(was, fit=replace(was.fit, effects=("bump",)))))
 
 
+def twisted(values, block):
+    """Two ways to widen a line as the square of a size of either sign: a blur evenly, a twist more to one side."""
+    (y, w), t = np.split(predict(values, block), 2), values.get("t", 0.0)
+    return np.concatenate([y + 0.03 * t * X**3, np.sqrt(w**2 + 2 * values.get("b", 0.0) ** 2 + t**2 * (2 + X))])
+
+
+def test_what_widens_as_its_square_is_tried_in_place_of_what_widens_too():
+    """Scenario: beside the lean a blur was found where a twist is. About the lean alone a twist of either sign does
+    nothing to first order, so that it was never tried."""
+    blur, twist = (Effect(e, "source", (Parameter(p, "1", 1.0),)) for e, p in (("blur", "b"), ("twist", "t")))
+    truth = {"t": 0.5, "l": 0.3}
+    made = replace(problem({}), catalogue=(CATALOGUE[2], blur, twist), predict=twisted)
+    made = replace(made, data=made.data + predict_all(made, truth) - predict_all(made, {}))
+    context, catalogue = context_of(made), screen.expand(made, {})
+    h, point = Hypothesis((CATALOGUE[2], blur)), Point(np.zeros(2), np.array([0.3, 0.5]), np.zeros(0))
+    known, prior = Known(context.curvature.first, point.nuisance), screen.log_prior(h.names, list(catalogue.effects))
+    best = refit.fit(context, h, [point], known, None, prior)
+    found = list(growth._bent_otherwise(context, catalogue, best, {h.names: best}))
+    assert {s.fit.effects for s in found} == {("lean", "twist")}
+    now = max(found, key=lambda s: s.fit.log_evidence)
+    assert best.fit.converged and now.fit.converged and now.fit.log_evidence > best.fit.log_evidence + 20
+    assert all(abs(abs(now.fit.values[n]) - x) < 4 * now.fit.sigma[n] for n, x in truth.items())
+    assert not list(growth._bent_otherwise(context, catalogue, best, {h.names: best, ("lean", "twist"): now}))
+
+
 def test_what_was_weighed_far_from_the_data_is_weighed_again_where_a_fit_is_good():
     """Scenario: about a null that misses the data by far a pair was promised hundreds, and no refit was left for it."""
     made = problem({"q": 0.5})
