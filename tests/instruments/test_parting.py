@@ -86,6 +86,17 @@ def test_a_single_line_of_a_beam_with_coma_is_left_alone(coma):
         assert parting.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
 
 
+@pytest.mark.parametrize(
+    ("coma", "bent", "shaken"), [((0.023, 0.082), 3.7, 0.0), ((-0.033, -0.076), 3.1, 1.0), ((0.021, -0.094), 4.0, 0.0)]
+)
+def test_a_single_line_of_a_beam_with_coma_and_bent_besides_is_left_alone(coma, bent, shaken):
+    """As of a beam with coma and astigmatism: no coma alone has its line, nor any curvature."""
+    bench = replace(RECORDING, effects={"coma": dict(zip(("coma_u", "coma_v"), coma, strict=True))})
+    for exposure in RECORDING.exposures[:2]:
+        across, pose, ridge, _ = shown(exposure, np.zeros(1), np.random.default_rng(13), bent, shaken, bench)
+        assert parting.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
+
+
 @pytest.fixture(scope="module")
 def parted_problem():
     seen = observables.simulate(RECORDING, seed=2)

@@ -6,8 +6,8 @@ the facets' mean square lean times the square of a lever, whatever their pattern
 that each stretch of the trace shows (`trace.parting`), the line's shape being the stated bench's.
 
 An exposure counts as parted only where no single line explains what lies across its trace: not the stated one, nor one
-of any curvature of the wavefront or shaking. A reflection beside the trace is taken for a facet's line if it holds as
-much light as one; its offset then has to follow the lever, or no facet explains it.
+of any curvature of the wavefront, shaking or coma. A reflection beside the trace is taken for a facet's line if it
+holds as much light as one; its offset then has to follow the lever, or no facet explains it.
 """
 
 from __future__ import annotations
@@ -116,15 +116,24 @@ def parted(
     combs = {k: _comb(across, k, q, plain[0][k], wide[k], (-reach, reach)) for k in usable}
     # Where the stated line does, nothing else is tried.
     sample = [k for k in usable if _seen(across, k, 2 * wide[k])]
-    if len(sample) < FEWEST or not _beaten(across, sample, q, plain[0], combs):
+    if len(sample) < FEWEST or not _misfit(across, sample, q, plain[0], combs):
         return None
     sample = sample[:: max(1, len(sample) // 6)]
+
+    def misfit(bench: Recording, bent: float, shaken: tuple[float, ...] = SHAKEN) -> float:
+        """Of the best of a bench's single lines."""
+        singles = _shapes(bench, exposure, across, blurred, 1e-3 * bent, shaken)[1]
+        return min(_misfit(across, sample, q, single, combs) for single in singles)
+
     benches = (stated, replace(bare, physics=full))[: 1 + (stated.physics != full)]
-    tried = [(bench, 1e-3 * bent, SHAKEN) for bench, bent in product(benches, BENT)]
-    for bench, bent, shaken in [*tried, *((bench, 0.0, SHAKEN[:1]) for bench in _comatic(stated))]:
-        for single in _shapes(bench, exposure, across, blurred, bent, shaken)[1]:
-            if not _beaten(across, sample, q, single, combs):
-                return None
+    if not all(misfit(bench, bent) for bench, bent in product(benches, BENT)):
+        return None
+    comatic = _comatic(stated)
+    # A beam may have coma and be bent, too; all of both would take a minute, and the likest coma alone is near enough.
+    alone = [misfit(bench, 0.0, SHAKEN[:1]) for bench in comatic]
+    likest = comatic[int(np.argmin(alone))]
+    if not min(alone) or not all(misfit(likest, bent) for bent in BENT):
+        return None
     lever = _lever(recording, exposure, across.points)
     return _measured(recording, across, q, plain[0], wide, combs, lever, line)
 
@@ -254,12 +263,13 @@ def _comb(
     return comb(*_bins(across, k), (q, shape), cells, least)
 
 
-def _beaten(across: Across, rows: list[int], q: Array, shapes: Array, combs: dict[int, Comb]) -> bool:
-    """Whether single lines fail on most stretches where combs do not."""
+def _misfit(across: Across, rows: list[int], q: Array, shapes: Array, combs: dict[int, Comb]) -> float:
+    """χ² per bin of single lines where they fail on most stretches and combs do not; else 0."""
     alone = np.array([one_line(*_bins(across, k), (q, shapes[k])) for k in rows])
     bins = np.array([len(_bins(across, k)[0]) for k in rows])
     together = np.array([combs[k].chi2 for k in rows])
-    return bool(np.median(alone / bins) > SINGLE and np.median(alone / together) > BETTER)
+    left = float(np.median(alone / bins))
+    return left if left > SINGLE and np.median(alone / together) > BETTER else 0.0
 
 
 def _shapes(
