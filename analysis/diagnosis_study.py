@@ -132,7 +132,7 @@ def design(row: str) -> str:
     return "fig7" if row.startswith("fig7") else "six"
 
 
-def diagnosed(problem: Problem, truth: draw.Truth, bends: curvature.Curvature | None) -> tuple[Diagnosis, Part]:
+def diagnosed(problem: Problem, truth: draw.Truth, bends: curvature.Curvature) -> tuple[Diagnosis, Part]:
     """The verdict, and what of it the case's line holds."""
     start = time.process_time()
     d = diagnosis.diagnose(problem, bends=bends)
@@ -152,7 +152,7 @@ def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
     yield {
         "truth": draw.plain(truth),
         "truth_element": draw.element_of(nominal, truth),
-        **draw.visible(truth, on.sight, values, true),
+        **draw.visible(truth, on.sight, values, on.bends, true),
     }
     lit = true or nominal
     at = {**draw.nuisances(nominal, truth, rng), **values}
@@ -202,8 +202,9 @@ def photographs_case(row: str, seed: int, case: int, shrink: int) -> Iterator[Pa
         true = bench_problem.build(bent, observed, attached=False) if truth.fields else None
         # Where nothing is concealed there is nothing to see, and the pictures' own need not be computed.
         sight = draw.Sight.of(seen) if truth.effects or truth.fields else on.sight
-        yield draw.visible(truth, sight, values, true)
-        yield diagnosed(without(seen, row, truth), truth, None)[1]
+        bends = curvature.measure(seen)
+        yield draw.visible(truth, sight, values, bends, true)
+        yield diagnosed(without(seen, row, truth), truth, bends)[1]
 
 
 def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int) -> dict[str, Any]:

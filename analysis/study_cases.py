@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field
 from benchsim.bench.model import Recording
+from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.trial.draws import (
@@ -28,7 +29,7 @@ from benchsim.trial.draws import (
     draw_stranger,
     possible,
 )
-from benchsim.trial.sight import Sight, amplitudes
+from benchsim.trial.sight import Sight, amplitudes, refitted
 
 __all__ = [
     "Sight",
@@ -109,7 +110,9 @@ def in_pixels(
     return replace(truth, effects=effects), {k: v * share.get(k, 1.0) for k, v in values.items()}
 
 
-def visible(truth: Truth, sight: Sight, values: Mapping[str, float], true: Problem | None = None) -> dict[str, Any]:
+def visible(
+    truth: Truth, sight: Sight, values: Mapping[str, float], bends: Curvature, true: Problem | None = None
+) -> dict[str, Any]:
     """How visible what is concealed is in the noise of the data that are judged.
 
     Parameters
@@ -119,26 +122,32 @@ def visible(truth: Truth, sight: Sight, values: Mapping[str, float], true: Probl
         On the problem of those data, the effects that the judge's catalogue lacks included.
     values : mapping
         Parameters of the concealed effects by name.
+    bends : Curvature
+        Of the same problem.
     true : Problem, optional
         Of the same data, with the fields of a stranger; where there is one.
 
     Returns
     -------
     dict
-        ``snr`` of each concealed thing; ``reach``, that of each effect at its cap; ``rival``, the nearest other single
-        or pair of them all and its distance; ``alone``, how far they are from any one of them.
+        ``snr`` of each concealed thing, settings marginalised to first order; ``refitted``, the same with settings
+        fitted anew; ``reach``, the SNR of each effect at its cap; ``rival``, the nearest other single or pair of them
+        all and its distance; ``alone``, how far they are from any one of them.
     """
     catalogue = {e.name: e for e in sight.problem.catalogue}
+    nominal = sight.problem
     snr = {name: float(np.linalg.norm(sight.change(own))) for name, own in truth.effects.items()}
+    anew = {name: refitted(nominal, predict_all(nominal, own), bends) for name, own in truth.effects.items()}
     if true is not None:
-        nominal = sight.problem
-        bent = predict_all(true, {}) - true.data + nominal.data - predict_all(nominal, {})
-        snr[truth.stranger] = float(np.linalg.norm(sight.through(whiten(nominal, nominal.covariance, bent)[0])))
+        stranger = predict_all(true, {}) - true.data + nominal.data
+        bent = whiten(nominal, nominal.covariance, stranger - predict_all(nominal, {}))[0]
+        snr[truth.stranger] = float(np.linalg.norm(sight.through(bent)))
+        anew[truth.stranger] = refitted(nominal, stranger, bends)
     rival, single = ("", float("inf")), float("inf")
     if truth.effects:
         rival, single = sight.rival(values, tuple(truth.effects)), sight.alone(values, tuple(truth.effects))
     at_cap = {name: reach(sight, catalogue[name], own) for name, own in truth.effects.items()}
-    return {"snr": snr, "reach": at_cap, "rival": rival, "alone": single}
+    return {"snr": snr, "refitted": anew, "reach": at_cap, "rival": rival, "alone": single}
 
 
 def reach(sight: Sight, effect: Effect, own: Mapping[str, float]) -> float:

@@ -94,26 +94,30 @@ def settle(
             if solved.fit.converged or not refit.misses(context, solved):
                 weigh_again(context, catalogue, white, solved, table, done)
 
-    best = leader(done)
+    best = leader(context, done)
     if not best.fit.effects or _hopeless(best):
         return
     keep(_other_signs(context, catalogue, best))
-    keep(_without_each(context, catalogue, white, leader(done), done))
-    if refit.strayed(context, leader(done)):
-        keep(_joined(context, catalogue, leader(done), done))
-    best = leader(done)
+    keep(_without_each(context, catalogue, white, leader(context, done), done))
+    if refit.strayed(context, leader(context, done)):
+        keep(_joined(context, catalogue, leader(context, done), done))
+    best = leader(context, done)
     ahead = best.fit.log_evidence > done[()].fit.log_evidence + LEAD
     if ahead and refit.strayed(context, best) and best.fit.effects not in grown:
         grown.add(best.fit.effects)
         keep(_grown(context, catalogue, best, done))
-    keep(_exchanged(context, catalogue, leader(done), done))
-    keep(_placed_anew(context, catalogue, leader(done)))
-    keep(_bent_otherwise(context, catalogue, leader(done), done))
+    keep(_exchanged(context, catalogue, leader(context, done), done))
+    keep(_placed_anew(context, catalogue, leader(context, done)))
+    keep(_bent_otherwise(context, catalogue, leader(context, done), done))
 
 
-def leader(done: Mapping[Effects, Solved]) -> Solved:
-    """The most probable fit that converged, of all where none did."""
-    return max(done.values(), key=lambda s: (s.fit.converged, s.fit.log_evidence))
+def leader(context: Context, done: Mapping[Effects, Solved]) -> Solved:
+    """The most probable fit that converged near the data; of all where none did.
+
+    One that converged where it misses the data is no better to go on from than one that came near and was cut off.
+    """
+    near = [s for s in done.values() if s.fit.converged and not refit.misses(context, s)]
+    return max(near or done.values(), key=lambda s: s.fit.log_evidence)
 
 
 def better(new: Solved, old: Solved) -> bool:
@@ -240,13 +244,15 @@ def _exchanged(
 
 
 def _placed_anew(context: Context, catalogue: Catalogue, best: Solved) -> Iterator[Solved]:
-    """The best set with an effect that has a place put where the others of the set, as they are, leave room for it.
+    """The best set with an effect that has a place put where the others of the set and the settings, as they are, leave
+    room for it.
 
-    Alone it was placed where it stood in for them, too, and from there a descent does not come back.
+    Alone it was placed where it stood in for the others, too, or beside settings that had been bent to hide it (a plume
+    of 22 sigma came out with the other sign, 160 mm off), and from there a descent does not come back.
     """
     h, prior = hypothesis_of(catalogue, best.fit.effects), _prior(catalogue, best.fit.effects)
     begun: list[_Begin] = []
-    for e in h.effects if len(h.effects) > 1 else ():
+    for e in h.effects:
         if not evidence.shapes(e):
             continue
         own = evidence.amplitudes(e)

@@ -105,9 +105,9 @@ def search(
     if not walk.foretold:
         grown: set[Effects] = set()
         for _ in range(TURNS):
-            before = growth.leader(walk.done)
+            before = growth.leader(context, walk.done)
             growth.settle(context, walk.catalogue, walk.white, table, walk.done, grown)
-            if not growth.better(growth.leader(walk.done), before):
+            if not growth.better(growth.leader(context, walk.done), before):
                 break
             _explore(walk, walk.tried + ANEW, tell)
         _challenge(walk)

@@ -140,6 +140,25 @@ def test_close_rivals_are_judged_where_they_show_and_counted_at_every_snr(score)
     assert "2/2 " in text[at + 1]
 
 
+def test_what_settings_take_up_when_fitted_anew_is_counted_apart(score):
+    """Scenario: of four effects of 10 sigma settings take up two; one of those, and one of the others, is named."""
+    cases = [
+        named("canting", snr=10.0, refitted={"canting": 9.9}),
+        case(snr=10.0, refitted={"canting": 9.0}),
+        named("canting", snr=10.0, refitted={"canting": 4.8}),
+        case(snr=10.0, refitted={"canting": 4.8}),
+    ]
+    lines = score.table(cases).splitlines()
+    (at,) = (i for i, t in enumerate(lines) if t.startswith("single effect, six settings: SNR ≥ 8, rival ≥ 5 σ"))
+    assert " 2/4 " in lines[at]
+    assert (
+        lines[at + 1].startswith("    of these with that SNR beside settings fitted anew") and " 1/2 " in lines[at + 1]
+    )
+    assert "fitted anew" not in score.table(cases[:1])
+    # Of a case that was judged before this was asked the first order stands.
+    assert "fitted anew" not in score.table([named("canting", snr=10.0)])
+
+
 def test_outside_the_catalogue_a_class_is_wrong_too(score):
     """Expectation: of a name, a class and silence, one is a wrong name and two are a name or a class."""
     cases = [

@@ -108,15 +108,17 @@ def test_a_good_fit_stays_what_it_is():
 
 def test_the_best_without_a_stand_in_is_fitted_though_it_was_weighed_low():
     """Scenario: in the wrong valley a lean made up for the line's shape a little; the defocus alone was not tried."""
-    before, done, _ = settled(problem({"q": 0.5}), {("defocus", "lean"): [-2.4, 0.0]})
+    made = problem({"q": 0.5})
+    before, done, _ = settled(made, {("defocus", "lean"): [-2.4, 0.0]})
     assert ("defocus",) not in before and ("defocus",) in done
     assert abs(done[("defocus",)].fit.values["q"] - 0.5) < 0.1
-    assert growth.leader(done).fit.effects == ("defocus",)
+    assert growth.leader(context_of(made), done).fit.effects == ("defocus",)
 
 
 def test_nothing_is_done_where_the_null_is_best_or_nothing_is_near():
-    before, done, _ = settled(problem({}), {("lean",): [0.0]})
-    assert done == before and growth.leader(done).fit.effects == ()
+    made = problem({})
+    before, done, _ = settled(made, {("lean",): [0.0]})
+    assert done == before and growth.leader(context_of(made), done).fit.effects == ()
     before, done, _ = settled(problem({"q": 0.5, "l": 1.9}), {("haze",): [1.0]})
     assert done == before
 
@@ -185,7 +187,33 @@ def test_a_place_that_made_up_for_another_effect_is_sought_again_beside_it():
     now = max(growth._placed_anew(context, catalogue, was), key=lambda s: s.fit.log_evidence)
     assert now.fit.converged and now.fit.log_evidence > was.fit.log_evidence + 50
     assert all(abs(now.fit.values[n] - x) < 4 * now.fit.sigma[n] for n, x in truth.items())
-    assert not list(growth._placed_anew(context, catalogue, replace(was, fit=replace(was.fit, effects=("bump",)))))
+
+
+def test_an_effect_that_is_alone_is_placed_again_beside_the_settings_that_it_was_fitted_with():
+    """Scenario: settings had been bent to hide a bump, and it was placed where those left room for one."""
+    place = Parameter("place", "1", 1.0, grid=(-0.8, -0.4, 0.0, 0.4, 0.8))
+    bump = Effect("bump", "air", (Parameter("a", "1", 0.5), place))
+    made = replace(problem({}), catalogue=(bump,), predict=bumped)
+    made = replace(made, data=made.data + predict_all(made, {"a": 0.2, "place": 0.5}) - predict_all(made, {}))
+    context, catalogue = context_of(made), screen.expand(made, {})
+    wrong = Point(np.array([2.0, -2.0]), np.array([0.3]), np.array([-0.6]))
+    was = refit.fit(context, Hypothesis((bump,)), [wrong], context.stated(), None, 0.0)
+    assert abs(was.fit.values["place"] - 0.5) > 0.5
+    now = max(growth._placed_anew(context, catalogue, was), key=lambda s: s.fit.log_evidence)
+    assert now.fit.converged and abs(now.fit.values["place"] - 0.5) < 4 * now.fit.sigma["place"]
+
+
+def test_what_came_near_and_was_cut_off_leads_before_what_converged_far_from_the_data():
+    """Scenario: a defocus converged where it misses the data; a haze came near them and was cut off."""
+    context = context_of(problem({}))
+
+    def fit(name, log_z, converged, residual):
+        found = SimpleNamespace(effects=(name,), log_evidence=log_z, converged=converged)
+        return SimpleNamespace(fit=found, residual=np.full(len(context.problem.data), residual * NOISE))
+
+    far, near, good = fit("defocus", 10.0, True, 3.0), fit("haze", 50.0, False, 1.0), fit("lean", 5.0, True, 0.9)
+    assert growth.leader(context, {s.fit.effects: s for s in (far, near)}) is near
+    assert growth.leader(context, {s.fit.effects: s for s in (far, near, good)}) is good
 
 
 def twisted(values, block):

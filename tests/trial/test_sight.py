@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchsim.diagnosis.curvature import measure
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
-from benchsim.trial.sight import Sight
+from benchsim.trial.sight import Sight, refitted
 
 X, NOISE, CUBIC = np.linspace(-1, 1, 40), 0.01, 0.02
 
@@ -72,3 +73,28 @@ def test_what_nothing_imitates_has_no_near_rival():
     assert distance == pytest.approx(snr, rel=0.1)
     assert s.alone(values, ("tilt", "ripple")) == pytest.approx(snr, rel=0.1)
     assert s.alone({"c": 0.04}, ("ripple",)) == float("inf")
+
+
+def test_settings_that_bend_take_up_more_than_to_first_order():
+    """One setting moves the line by 0.1 s + 0.1 s². About 0 it would have to move by six sigma to hide a shift of 0.6;
+    it moves by two."""
+    n = len(X)
+    problem = Problem(
+        data=np.zeros(n),
+        block=np.zeros(n, int),
+        kind=np.full(n, "c"),
+        position=X,
+        stretch=np.zeros(n, int),
+        covariance=(NOISE**2 * np.eye(n),),
+        names=("one",),
+        groups=("one",),
+        nuisances=(Parameter("s", "1", 1.0, scaled=True),),
+        catalogue=(Effect("shift", "screen", (Parameter("b", "1", 1.0),)),),
+        predict=lambda values, block: np.full(
+            n, values.get("b", 0.0) + 0.1 * values.get("s", 0.0) + 0.1 * values.get("s", 0.0) ** 2
+        ),
+    )
+    shifted = predict_all(problem, {"b": 0.6})
+    cost = [s**2 + n * ((0.6 - 0.1 * s - 0.1 * s**2) / NOISE) ** 2 for s in np.linspace(0, 6, 60001)]
+    assert refitted(problem, shifted, measure(problem)) == pytest.approx(np.sqrt(min(cost)), rel=1e-3)
+    assert np.linalg.norm(Sight.of(problem).change({"b": 0.6})) > 5.5
