@@ -252,7 +252,7 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
     near |= {h for h in others if h in hypotheses.refitted and z[best] - z[h] < 0.5 * CLOSE**2}
     if hypotheses.probability([best]) < LIKELY:
         near |= {h for h in others if z[best] - z[h] < float(np.log(SURE / (1 - SURE)))}
-    rivals = [h for h in near if not any(set(o) < set(h) for o in near)]
+    rivals = [h for h in near if not any(set(o) < set(h) and z[o] >= z[h] for o in near)]
     rivals.sort(key=lambda h: -z[h])
     nearest = min(distance.values(), default=float("inf"))
     swaps = {e: [_less(r, mine - {e}) for r in rivals if mine - {e} < set(r)] for e in best}

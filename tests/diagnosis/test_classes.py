@@ -90,6 +90,16 @@ def test_what_keeps_the_best_from_being_likely_is_an_alternative():
     assert claim(z, ("a",), np.array([1.0, 0]), within).classes == ((("a",), ("b",)),)
 
 
+def test_a_pair_that_outdoes_the_member_that_it_holds_is_a_member_too():
+    """Scenario: two effects are there; one that stands in for both is a little more probable, and either of the two by
+    itself less than both. Where both are less probable than one of them, that one is enough."""
+    columns = {"a": E1, "b": E1 + 0.1 * E2, "c": 0.2 * E3}
+    within, z = made(columns, null=0.0, a=20.0, b=17.0, c=1.0, b_c=19.0)
+    assert claim(z, ("a",), np.array([1.0, 0, 0]), within).classes == ((("a",), ("b", "c"), ("b",)),)
+    within, z = made(columns, null=0.0, a=20.0, b=17.0, c=1.0, b_c=16.0)
+    assert claim(z, ("a",), np.array([1.0, 0, 0]), within).classes == ((("a",), ("b",)),)
+
+
 def test_members_of_a_pair_are_told_apart_one_by_one():
     columns = {"a": E1, "b": E2, "c": E2 + 0.1 * E3}
     within, z = made(columns, null=0.0, a=20.0, b=20.0, c=19.0, a_b=80.0, a_c=79.0, b_c=20.0)
