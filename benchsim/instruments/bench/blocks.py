@@ -75,6 +75,14 @@ class Seen(NamedTuple):
     stretch: Array | float
 
 
+def across(curve: Curve, b: Block, stretch: Array | float) -> Array:
+    """Square of a curve's width behind the blur, as the marks have it stretched [mm²]."""
+    assert b.response is not None and curve.width is not None
+    # The camera's blur is not on the board: it is as wide as it was.
+    own = b.response.blur**2
+    return np.asarray((curve.width**2 - own) * np.square(stretch) + own)
+
+
 def size(b: Block) -> int:
     """Number of data of a block."""
     shape = 0 if b.response is None else len(b.observed.width2) + len(b.observed.log_flux)
@@ -104,15 +112,10 @@ def data(seen: Sequence[Seen]) -> list[Array]:
         distance = signed_distances(points, targets)[0]
         return [np.concatenate([s.block.offset - d, m]) for s, d, m in zip(seen, distance, marks, strict=True)]
     light: Array = np.empty((*points.shape[:2], 2))
-    light[..., 0] = [s.curve.width for s in seen]
-    light[..., 1] = [s.curve.flux for s in seen]
-    light[..., 0] **= 2
     for row, s in zip(light, seen, strict=True):
-        assert s.block.response is not None
-        # The camera's blur is not on the board: it is as wide as it was.
-        own = s.block.response.blur**2
-        row[:, 0] = (row[:, 0] - own) * np.square(s.stretch) + own + s.spilled
-        row[:, 1] *= s.stretch
+        assert s.curve.flux is not None
+        row[:, 0] = across(s.curve, s.block, s.stretch) + s.spilled
+        row[:, 1] = s.curve.flux * s.stretch
     np.log(np.maximum(light[..., 1], 1e-30), out=light[..., 1])
     profiles = np.stack([s.block.observed.profile_points for s in seen])
     distance, _, at = signed_distances(points, np.concatenate([targets, profiles], axis=1), light)

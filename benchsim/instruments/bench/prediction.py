@@ -22,7 +22,7 @@ from benchsim.bench.model import Camera, Recording
 from benchsim.bench.place import SettingErrors
 from benchsim.bench.settings import NAMES, from_vector
 from benchsim.instruments.bench import chain
-from benchsim.instruments.bench.blocks import Block, Seen, data, size
+from benchsim.instruments.bench.blocks import Block, Seen, across, data, size
 from benchsim.rays.curve import tangents
 from benchsim.rays.smooth import left_of
 
@@ -220,7 +220,7 @@ class Predict:
         out: dict[int, Array] = {}
         seen: dict[Any, list[tuple[int, Seen]]] = {}
         measured = self._measured([asked[i] for i, _ in lit], lights)
-        spilled = self._spilled([asked[i] for i, _ in lit], lights, [m.points for m in measured])
+        spilled = self._spilled([asked[i] for i, _ in lit], [curve for _, curve in lit], lights, measured)
         for (i, curve), (points, residual, stretch), more in zip(lit, measured, spilled, strict=True):
             if np.isfinite(points).all():
                 b = self.blocks[asked[i].block]
@@ -268,7 +268,7 @@ class Predict:
         return np.asarray(np.interp(np.linspace(0, 1, n), np.linspace(0, 1, len(b.level)), b.level))
 
     def _spilled(
-        self, asked: Sequence[Asked], lights: Sequence[Array], measured: Sequence[Array]
+        self, asked: Sequence[Asked], curves: Sequence[Curve], lights: Sequence[Array], measured: Sequence[Measured]
     ) -> list[Array | float]:
         """What blooming adds to the squared width [mm²]: along the columns, so far as they cross the trace."""
         out: list[Array | float] = [0.0] * len(asked)
@@ -277,7 +277,7 @@ class Predict:
         for i, a in enumerate(asked):
             effects = a.truth.effects
             blooms = self.blocks[a.block].response is not None and effects.get("saturation", {}).get("sat", 0.0)
-            if blooms and np.isfinite(measured[i]).all():
+            if blooms and np.isfinite(measured[i].points).all():
                 wanted.append(i)
                 if id(a.truth) not in without:
                     others = {name: own for name, own in effects.items() if name != "saturation"}
@@ -290,9 +290,10 @@ class Predict:
         for i, (points, _, _) in zip(wanted, plain, strict=True):
             a = asked[i]
             sat, level = a.truth.effects["saturation"]["sat"], self._level(self.blocks[a.block], len(points))
-            moved = ((measured[i] - points) * left_of(tangents(points))).sum(axis=1)
+            moved = ((measured[i].points - points) * left_of(tangents(points))).sum(axis=1)
             per_px = moved / (sat * np.maximum(level, 1e-3) ** 2)
-            out[i] = rays.spilled(a.truth, level) * per_px**2
+            wide = across(curves[i], self.blocks[a.block], measured[i].stretch)
+            out[i] = rays.spilled(a.truth, level, np.sqrt(wide), per_px)
         return out
 
     def truth(self, values: Mapping[str, float]) -> Recording:
