@@ -205,13 +205,24 @@ def _predict(
 
 
 def _level(o: Observed, stated: Curve) -> Array:
-    """Peak brightness along the stated trace, 1 at the brightest that the camera measured."""
-    scale = float(np.median(o.mm_per_px)) if len(o.mm_per_px) else 0.7
-    width = np.hypot(stated.width if stated.width is not None else 0.0, o.blur * scale)
+    """Peak brightness along the stated trace, 1 at the brightest that the camera measured.
+
+    The light is as bright as it was measured, where it was: settings that are off by their errors make a tenth of it,
+    and blooming goes by its square.
+    """
     assert stated.flux is not None
-    level = stated.flux / width
+    arc, scale, flux = stated.arc_length(), np.array(0.7), stated.flux
+    if len(o.log_flux):
+        s = signed_distance(stated, o.profile_points)[1]
+        order = np.argsort(s)
+        scale = np.interp(arc, s[order], o.mm_per_px[order])
+        # A parabola: the noise of single profiles is not the trace's brightness, nor is there any beyond the ends.
+        at = np.polynomial.Polynomial.fit(s, o.log_flux - np.interp(s, arc, np.log(flux)), min(2, len(s) - 1))
+        flux = flux * np.exp(at(np.clip(arc, s.min(), s.max())))
+    width = np.hypot(stated.width if stated.width is not None else 0.0, o.blur * scale)
+    level = flux / width
     near = np.abs(stated.points[:, None] - o.points[None]).sum(axis=-1).min(axis=1) < 20.0
-    return level / level[near].max() if near.any() else level / level.max()
+    return np.asarray(level / level[near].max() if near.any() else level / level.max())
 
 
 def _response(doubted: Recording, recording: Recording, o: Observed) -> Response:
