@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis import classes, foresight, growth, refit, screen, starts
+from benchsim.diagnosis import classes, evidence, foresight, growth, refit, screen, starts
 from benchsim.diagnosis.attempt import BORNE_OUT, attempt
 from benchsim.diagnosis.fits import Effects
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved
@@ -96,6 +96,8 @@ def search(
     table = Table(log_z, dict.fromkeys(log_z, ()))
     if bent:
         _foresee_all(context, catalogue, table)
+    else:
+        _foresee_one_sided(context, catalogue, table)
     table.begin.update({e: (point,) for e, point in earlier.items() if e in table.begin})
     walk = _Walk(context, catalogue, white, table, {(): null}, null, bent, not strayed, catalogue)
     _explore(walk, refits, tell)
@@ -275,6 +277,20 @@ def _foresee_all(context: Context, catalogue: Catalogue, table: Table) -> None:
     for effects in screened:
         if len(effects) > 1:
             table.log_z[effects] += sum(fall[name] for name in effects)
+
+
+def _foresee_one_sided(context: Context, catalogue: Catalogue, table: Table) -> None:
+    """By foresight, single effects that have one sign only, where they look better from afar than from 0.
+
+    What starts at a boundary need not go on as it starts: charge that spills over by half a pixel widens a line, by a
+    whole one it does not, and between the two is no way downhill.
+    """
+    some = [(e.name,) for e in catalogue.effects.values() if any(evidence.kind(a) == 1 for a in evidence.amplitudes(e))]
+    foretold = foresight.foretell_all(context, [hypothesis_of(catalogue, effects) for effects in some])
+    for effects, found in zip(some, foretold, strict=True):
+        log_z = -np.inf if found is None else found.log_evidence + screen.log_prior(effects, list(catalogue.effects))
+        if found is not None and log_z > table.log_z[effects]:
+            table.log_z[effects], table.begin[effects] = log_z, found.points
 
 
 def _best(done: Mapping[Effects, Solved]) -> float:

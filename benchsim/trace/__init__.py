@@ -8,7 +8,16 @@ from benchsim.trace.extract import PixelTrace, extract, extract_pixels
 from benchsim.trace.image import Photograph, read_image
 from benchsim.trace.marks import board_corners, find_marks
 from benchsim.trace.pose import Pose, solve_pose, to_board, to_pixels
-from benchsim.trace.table import RidgeNoise, Trace, covariance, only_ridge, read_table, thinned, write_table
+from benchsim.trace.table import (
+    RidgeNoise,
+    Trace,
+    covariance,
+    only_ridge,
+    read_table,
+    thinned,
+    unsaturated,
+    write_table,
+)
 
 __all__ = [
     "Photograph",
@@ -28,5 +37,6 @@ __all__ = [
     "thinned",
     "to_board",
     "to_pixels",
+    "unsaturated",
     "write_table",
 ]

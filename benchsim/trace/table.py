@@ -18,6 +18,9 @@ from benchsim.trace.pose import Pose
 
 Array = NDArray[np.float64]
 
+CUT = 0.7
+"""Share of profiles with saturated pixels above which they are kept: what is left would be too little of a line."""
+
 HEADER = (
     "exposure",
     "ridge",
@@ -155,6 +158,16 @@ def only_ridge(trace: Trace, ridge: int = 0) -> Trace:
 def thinned(trace: Trace, step: int) -> Trace:
     """Every ``step``-th profile by number. The others' information is lost: for a quick look, not for a fit."""
     return _selected(trace, trace.profile % step == 0)
+
+
+def unsaturated(trace: Trace) -> Trace:
+    """The same without profiles that hold saturated pixels; all of it where those are more than `CUT` of it.
+
+    They are placed by their flanks, in the shape that the others have. Where charge spills from bright pixels, the
+    crest leans, and the more the brighter it is: centres in such profiles were 0.07 mm off, five of their sigma.
+    """
+    free = trace.saturated == 0
+    return trace if free.mean() < 1 - CUT else _selected(trace, free)
 
 
 def _selected(trace: Trace, mask: NDArray[np.bool_]) -> Trace:

@@ -262,3 +262,25 @@ def test_what_was_weighed_far_from_the_data_is_weighed_again_where_a_fit_is_good
     assert table.log_z[pair] < good.fit.log_evidence - 5 and table.source[pair] == ("defocus",)
     assert table.log_z[beside] == 1e4
     assert recanted({(): done[()]}).log_z[pair] == 1e4
+
+
+def spilling(values, block):
+    """A spill moves the line by its square, along it more and more, and widens it but where it is a whole number."""
+    (y, w), q = np.split(predict(values, block), 2), values.get("spill", 0.0)
+    return np.concatenate([y + 0.03 * q * X**3, w + 0.05 * np.abs(np.sin(np.pi * q)) + 0.02 * q * X])
+
+
+def test_what_goes_on_otherwise_than_it_starts_is_weighed_from_afar():
+    """Scenario: the spill's first tenth makes the line wider than it is, so that from 0 it looks worse than nothing."""
+    spill = Effect("spill", "camera", (Parameter("spill", "px", 1.0, one_sided=True),))
+    made = replace(problem({}), catalogue=(*CATALOGUE[::2], spill), predict=spilling)
+    made = replace(made, data=made.data + predict_all(made, {"spill": 1.95}) - predict_all(made, {}))
+    context, catalogue = context_of(made), screen.expand(made, {})
+    null = fitted(context, (), ())
+    white = context.whiten(catalogue.columns)
+    log_z = screen.screen(null.fit.linear, catalogue, white, context.scales, context.weights)
+    table = Table(dict(log_z), dict.fromkeys(log_z, ()))
+    search._foresee_one_sided(context, catalogue, table)
+    assert table.log_z[("spill",)] > log_z[("spill",)] + 10
+    assert table.begin[("spill",)][0].amplitude == pytest.approx([1.95], abs=0.1)
+    assert all(table.log_z[e] == z for e, z in log_z.items() if e != ("spill",))

@@ -100,6 +100,34 @@ def test_centre_line_is_where_the_pieces_put_it(made, truth):
         assert np.abs(moved[np.isin(kind, ["c", "m"])]).max() > 0.02 or (b == 0 and "dry" in truth)
 
 
+def test_light_is_as_bright_as_it_was_measured_and_brightest_where_it_was_seen(made):
+    """Scenario: a trace is brighter toward its end than the stated bench has it, by what setting errors do; and its
+    brightest part is saturated, so that no profile there is a datum."""
+    recording, _ = made
+    seen = observables.simulate(recording)
+    s = seen[0].profile_s
+    tilted = replace(seen[0], log_flux=seen[0].log_flux + 0.3 * (s - s.min()) / np.ptp(s))
+    was, now = (build(recording, (o, seen[1])).predict.blocks[0].level for o in (seen[0], tilted))
+    assert now.max() == pytest.approx(1.0, abs=0.02) and was.max() == pytest.approx(1.0, abs=0.02)
+    ratio = (now / was)[[0, -1]]
+    assert abs(np.log(ratio[1] / ratio[0])) == pytest.approx(0.3, abs=0.03)
+    half = slice(0, len(s) // 2) if was[-1] > was[0] else slice(len(s) // 2, None)
+    near = np.abs(seen[0].s - s[half].mean()) < np.ptp(s[half]) / 2
+    cut = {k: getattr(seen[0], k)[half] for k in ("profile_points", "profile_s", "width2", "log_flux", "mm_per_px")}
+    cut |= {k: getattr(seen[0], k)[half, half] for k in ("width2_covariance", "log_flux_covariance")}
+    less = replace(
+        seen[0],
+        points=seen[0].points[near],
+        s=seen[0].s[near],
+        covariance=seen[0].covariance[np.ix_(near, near)],
+        ends=seen[0].points[[0, -1]],
+        **cut,
+    )
+    np.testing.assert_allclose(build(recording, (less, seen[1])).predict.blocks[0].level, was, rtol=0.02)
+    blind = build(recording, (replace(less, ends=np.zeros((0, 2))), seen[1])).predict.blocks[0].level
+    assert blind.max() > 1.05 * was.max()
+
+
 def test_effects_are_added_to_what_the_file_states(made):
     recording, problem = made
     stated = replace(recording, effects={"canting": {"pyr": 1.5}})

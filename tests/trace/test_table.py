@@ -1,10 +1,22 @@
 """The trace's table: round trip, refusal of what is not one, and nothing half-written."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.trace.table import HEADER, RidgeNoise, Trace, covariance, only_ridge, read_table, thinned, write_table
+from benchsim.trace.table import (
+    HEADER,
+    RidgeNoise,
+    Trace,
+    covariance,
+    only_ridge,
+    read_table,
+    thinned,
+    unsaturated,
+    write_table,
+)
 
 
 def a_trace(n=12, exposure="001.png"):
@@ -77,3 +89,13 @@ def test_selections_keep_the_parts_together():
     assert len(ghost) == 4 and len(ghost.pose_mm) == 4 and covariance(ghost).shape == (4, 4)
     np.testing.assert_allclose(covariance(ghost), covariance(trace)[-4:, -4:])
     assert set(thinned(trace, 2).profile % 2) == {0}
+
+
+@pytest.mark.parametrize(("cut", "left"), [(0, 10), (3, 7), (8, 10)])
+def test_profiles_with_saturated_pixels_are_left_out_unless_little_would_be_left(cut, left):
+    trace = only_ridge(a_trace(14))
+    trace = replace(trace, saturated=np.repeat([0.0, 0.2], [10 - cut, cut]))
+    kept = unsaturated(trace)
+    assert len(kept) == left and len(kept.pose_mm) == left
+    if cut == 3:
+        assert np.array_equal(kept.s_mm, trace.s_mm[:7]) and covariance(kept).shape == (7, 7)

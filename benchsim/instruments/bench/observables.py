@@ -203,6 +203,7 @@ def _main_ridge(measured: trace.Trace, centres: _Centres, pose: Pose) -> trace.T
 def _reduced(recording: Recording, index: int, centres: _Centres, line: trace.Trace, blur: float) -> Observed:
     """Data of the marks' centres and of the main ridge."""
     stated = rays.predict(nominal(recording), recording.exposures[index], width=False)
+    ends, line = line.points[[0, -1]], trace.unsaturated(line)
     binned = bin_trace(line.s_mm, trace.covariance(line), bins=CENTRE_BINS)
     distance, feet = signed_distance(stated, line.points)
     points = beside(stated, binned.weights @ feet, binned.weights @ distance)
@@ -217,6 +218,7 @@ def _reduced(recording: Recording, index: int, centres: _Centres, line: trace.Tr
         marks=centres.residual,
         marks_covariance=centres.covariance,
         blur=blur,
+        ends=ends,
         aside=centres.aside,
         **shape,
     )

@@ -78,6 +78,8 @@ class Observed:
     parting_covariance : (n, n)
     ridge : Observed or None
         What the main ridge alone gives, where lines part.
+    ends : (2, 2) mm
+        Where the trace was first and last seen, saturated or not; none where nobody says.
     aside : tuple of Aside
         Marks of which all exposures together have to say whether they are data.
     notes : tuple of str
@@ -104,6 +106,7 @@ class Observed:
     parting: Array = field(default_factory=lambda: np.zeros(0))
     parting_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     ridge: Observed | None = None
+    ends: Array = field(default_factory=lambda: np.zeros((0, 2)))
     aside: tuple[Aside, ...] = ()
 
 

@@ -205,7 +205,7 @@ def _predict(
 
 
 def _level(o: Observed, stated: Curve) -> Array:
-    """Peak brightness along the stated trace, 1 at the brightest that the camera measured.
+    """Peak brightness along the stated trace, 1 at the brightest that the camera saw.
 
     The light is as bright as it was measured, where it was: settings that are off by their errors make a tenth of it,
     and blooming goes by its square.
@@ -221,7 +221,8 @@ def _level(o: Observed, stated: Curve) -> Array:
         flux = flux * np.exp(at(np.clip(arc, s.min(), s.max())))
     width = np.hypot(stated.width if stated.width is not None else 0.0, o.blur * scale)
     level = flux / width
-    near = np.abs(stated.points[:, None] - o.points[None]).sum(axis=-1).min(axis=1) < 20.0
+    ends = signed_distance(stated, np.concatenate([o.points, o.ends]))[1]
+    near = (arc > ends.min() - 20.0) & (arc < ends.max() + 20.0)
     return np.asarray(level / level[near].max() if near.any() else level / level.max())
 
 
