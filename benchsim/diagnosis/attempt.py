@@ -77,6 +77,8 @@ def attempt(
     elif not own_effects and not h.shapes:
         chosen = [c for e, i in zip(h.effects, nodes[0], strict=True) for c in catalogue.nodes[e.name][i].columns]
         own = catalogue.columns[:, chosen]
+        # Where it looks better from afar than from 0 there is another valley: the deeper of the two is the fit.
+        points += foreseen
     if not hold and any(evidence.shapes(e) and e.name not in own_effects for e in h.effects):
         # Shapes are placed with the settings integrated; where the source has them, they speak against the place.
         hold = 1

@@ -284,3 +284,14 @@ def test_what_goes_on_otherwise_than_it_starts_is_weighed_from_afar():
     assert table.log_z[("spill",)] > log_z[("spill",)] + 10
     assert table.begin[("spill",)][0].amplitude == pytest.approx([1.95], abs=0.1)
     assert all(table.log_z[e] == z for e, z in log_z.items() if e != ("spill",))
+
+    # A null that does not miss the data leads nowhere else: the fit begins in both valleys and ends in the deeper.
+    context = context_of(replace(made, covariance=tuple(2 * c for c in made.covariance)))
+    null = fitted(context, (), ())
+    near, far = (
+        attempt.attempt(context, catalogue, ("spill",), null, {(): null}, 0.0, begin).fit
+        for begin in ((), table.begin[("spill",)])
+    )
+    assert not refit.strayed(context, null) and near.values["spill"] < 1
+    assert far.converged and far.values["spill"] == pytest.approx(1.95, abs=0.1)
+    assert far.log_evidence > near.log_evidence + 5
