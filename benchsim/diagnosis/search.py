@@ -280,7 +280,7 @@ def _foresee_all(context: Context, catalogue: Catalogue, table: Table) -> None:
 
 
 def _foresee_one_sided(context: Context, catalogue: Catalogue, table: Table) -> None:
-    """By foresight, single effects that have one sign only, where they look better from afar than from 0.
+    """By foresight, single effects that have one sign only, where they look better from afar than from 0 or than nothing.
 
     What starts at a boundary need not go on as it starts: charge that spills over by half a pixel widens a line, by a
     whole one it does not, and between the two is no way downhill.
@@ -289,8 +289,8 @@ def _foresee_one_sided(context: Context, catalogue: Catalogue, table: Table) -> 
     foretold = foresight.foretell_all(context, [hypothesis_of(catalogue, effects) for effects in some])
     for effects, found in zip(some, foretold, strict=True):
         log_z = -np.inf if found is None else found.log_evidence + screen.log_prior(effects, list(catalogue.effects))
-        if found is not None and log_z > table.log_z[effects]:
-            table.log_z[effects], table.begin[effects] = log_z, found.points
+        if found is not None and log_z > min(table.log_z[effects], table.log_z[()]):
+            table.log_z[effects], table.begin[effects] = max(log_z, table.log_z[effects]), found.points
 
 
 def _best(done: Mapping[Effects, Solved]) -> float:

@@ -295,3 +295,23 @@ def test_what_goes_on_otherwise_than_it_starts_is_weighed_from_afar():
     assert not refit.strayed(context, null) and near.values["spill"] < 1
     assert far.converged and far.values["spill"] == pytest.approx(1.95, abs=0.1)
     assert far.log_evidence > near.log_evidence + 5
+
+
+@pytest.mark.parametrize("jump", [0.0, 1.0])
+def test_no_name_rests_on_a_gain_that_is_promised_and_cannot_be_had(jump):
+    """Scenario: the line is bent as by a tilted pane, but the pane, which would bow it too, is not there: about a pane
+    that is turned by nothing and not there either, its derivatives promise all of the bend."""
+
+    def through(values, block):
+        tilt = values.get("t", 0.0)
+        y, w = np.split(predict(values, block), 2)
+        return np.concatenate([y + 0.1 * tilt * X**3 + jump * X**2 * (tilt != 0), w])
+
+    pane = Effect("pane", "air", (Parameter("t", "deg", 1.0),))
+    made = replace(problem({}), catalogue=(*CATALOGUE[2:], pane), predict=through)
+    made = replace(made, data=made.data + np.tile(np.append(0.1 * X**3, 0 * X), 2))
+    context, catalogue = context_of(made), screen.expand(made, {})
+    null = fitted(context, (), ())
+    found = attempt.attempt(context, catalogue, ("pane",), null, {(): null}, 0.0).fit
+    assert found.log_evidence > null.fit.log_evidence + refit.OWED
+    assert found.converged == (jump == 0) and (found.values["t"] == 0) == (jump != 0)
