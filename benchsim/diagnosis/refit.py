@@ -5,8 +5,9 @@ descents the derivatives are renewed: those by the hypothesis' own parameters al
 carried by second derivatives, only where a central difference along a random combination of all of them, one posterior
 sigma each, disagrees.
 
-A fit counts as converged when, with derivatives renewed, less than `descent.STILL` could be gained, or nothing is gained
-of what is promised (`OWED` at most), and when a second start ends nowhere better. An unconverged fit steals the name.
+A fit counts as converged when, with derivatives renewed, less than `descent.STILL` could be gained, or nothing is
+gained of what is promised (`OWED` at most), and when a second start ends nowhere better. An unconverged fit steals the
+name.
 
 The evidence is Laplace's about that point, with the exact residual: everything Gaussian in closed form, amplitudes at a
 boundary integrated (`evidence`), setting scale and field sigma summed over their grids. A shape parameter's uniform
@@ -62,8 +63,8 @@ WORTH = 2.0
 cost what hundreds of predictions do. One that gains less than `still` has converged, whatever is promised."""
 
 OWED = 3.0
-"""Gain in ln posterior that a fit which moves no more may still promise, if names are to rest on it: the evidence counts
-it as had. Where data jump, as where the first degree of tilt puts a window into the light, the derivatives of what comes
+"""Gain in ln posterior that a fit which moves no more may still promise, if names are to rest on it: the evidence
+counts it as had. Where data jump, as where the least tilt puts a window into the light, the derivatives of what comes
 after the jump promise it before."""
 
 SLOW = 0.1

@@ -280,7 +280,7 @@ def _foresee_all(context: Context, catalogue: Catalogue, table: Table) -> None:
 
 
 def _foresee_one_sided(context: Context, catalogue: Catalogue, table: Table) -> None:
-    """By foresight, single effects that have one sign only, where they look better from afar than from 0 or than nothing.
+    """By foresight, single effects that have one sign only, if from afar they look better than from 0 or than nothing.
 
     What starts at a boundary need not go on as it starts: charge that spills over by half a pixel widens a line, by a
     whole one it does not, and between the two is no way downhill.
