@@ -60,7 +60,7 @@ how they bend."""
 
 WORTH = 2.0
 """Gain of a descent on second derivatives made anew from which on they are made anew right after it once more: they
-cost what hundreds of predictions do. One that gains less than `still` has converged, whatever is promised."""
+cost what hundreds of predictions do. One that gains less than `still` ends there, whatever is promised (`OWED`)."""
 
 OWED = 3.0
 """Gain in ln posterior that a fit which moves no more may still promise, if names are to rest on it: the evidence
