@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field
 from benchsim.bench.model import Recording
+from benchsim.diagnosis import evidence
+from benchsim.diagnosis.classes import CLOSE
 from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect, Problem
@@ -29,7 +31,7 @@ from benchsim.trial.draws import (
     draw_stranger,
     possible,
 )
-from benchsim.trial.sight import Sight, amplitudes, refitted
+from benchsim.trial.sight import Sight, refitted, rival_refitted
 
 __all__ = [
     "Sight",
@@ -45,6 +47,9 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+SEEN = 8.0
+"""SNR from which an effect has to be named."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +110,7 @@ def in_pixels(
 ) -> tuple[Truth, dict[str, float]]:
     """The same on pictures of less resolution: charge that spills over three pixels spills over half as many of twice
     the size. Left at three, it would part a line of one pixel's width into the rungs of a ladder."""
-    share = {p.name: 1 / shrink for e in catalogue for p in amplitudes(e) if p.unit == "px"}
+    share = {p.name: 1 / shrink for e in catalogue for p in evidence.amplitudes(e) if p.unit == "px"}
     effects = {n: {k: v * share.get(k, 1.0) for k, v in own.items()} for n, own in truth.effects.items()}
     return replace(truth, effects=effects), {k: v * share.get(k, 1.0) for k, v in values.items()}
 
@@ -132,7 +137,8 @@ def visible(
     dict
         ``snr`` of each concealed thing, settings marginalised to first order; ``refitted``, the same with settings
         fitted anew; ``reach``, the SNR of each effect at its cap; ``rival``, the nearest other single or pair of them
-        all and its distance; ``alone``, how far they are from any one of them.
+        all and its distance; ``rival_refitted``, the same with all of it fitted anew, where what is concealed can be
+        seen and that says it is apart; ``alone``, how far they are from any one of them.
     """
     catalogue = {e.name: e for e in sight.problem.catalogue}
     nominal = sight.problem
@@ -144,15 +150,18 @@ def visible(
         snr[truth.stranger] = float(np.linalg.norm(sight.through(bent)))
         anew[truth.stranger] = refitted(nominal, stranger, bends)
     rival, single = ("", float("inf")), float("inf")
+    more: dict[str, Any] = {}
     if truth.effects:
         rival, single = sight.rival(values, tuple(truth.effects)), sight.alone(values, tuple(truth.effects))
+        if min(snr.values()) >= SEEN and rival[1] >= CLOSE:
+            more["rival_refitted"] = rival_refitted(sight, values, tuple(truth.effects), bends)
     at_cap = {name: reach(sight, catalogue[name], own) for name, own in truth.effects.items()}
-    return {"snr": snr, "refitted": anew, "reach": at_cap, "rival": rival, "alone": single}
+    return {"snr": snr, "refitted": anew, "reach": at_cap, "rival": rival, "alone": single, **more}
 
 
 def reach(sight: Sight, effect: Effect, own: Mapping[str, float]) -> float:
     """SNR of an effect at its cap: its amplitudes in the ratio that the case has, until the first is there."""
-    many = amplitudes(effect)
+    many = evidence.amplitudes(effect)
     share = max(abs(own[p.name]) / (2 * p.sigma) for p in many)
     if share == 0:
         return 0.0

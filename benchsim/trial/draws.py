@@ -19,9 +19,10 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, field
 from benchsim.bench.files import read
 from benchsim.bench.model import Camera, Exposure, Recording
+from benchsim.diagnosis.evidence import amplitudes
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect
-from benchsim.trial.sight import Sight, amplitudes
+from benchsim.trial.sight import Sight
 
 Array = NDArray[np.float64]
 

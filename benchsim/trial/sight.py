@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement, product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from benchsim.diagnosis import refit
-from benchsim.diagnosis.classes import bounds
+from benchsim.bench.errors import BenchsimError
+from benchsim.diagnosis import evidence, refit
+from benchsim.diagnosis.classes import CLOSE, bounds
 from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, whitener
-from benchsim.diagnosis.linear import Linear, columns, fit_value, linearise, predict_all, whiten
-from benchsim.diagnosis.problem import Effect, Parameter, Problem
+from benchsim.diagnosis.linear import Linear, columns, fit_value, linearise, predict_all, value_of, whiten
+from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.screen import Catalogue, expand
 
 Array = NDArray[np.float64]
@@ -25,10 +26,30 @@ Rival = tuple[str, float]
 STEP = 0.02
 """By which shapes are moved to differentiate, of their range."""
 
+NEAREST = 4
+"""Rivals, nearest to first order, that `rival_refitted` follows."""
 
-def amplitudes(effect: Effect) -> tuple[Parameter, ...]:
-    """Parameters of an effect that are no shapes."""
-    return tuple(p for p in effect.parameters if not p.grid)
+BEYOND = 1.02
+"""By how much a fit may end beyond a cap and still count as within it."""
+
+
+@dataclass(frozen=True)
+class Stand:
+    """What stands in for the truth: names joined by +, how far off to first order [sigma], and its parameters there."""
+
+    names: str
+    distance: float
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An effect that is where it is: its columns there, nuisances marginalised, and how far its parameters go."""
+
+    effect: Effect
+    values: Mapping[str, float]
+    columns: Array
+    limits: Array
 
 
 @dataclass(frozen=True)
@@ -74,14 +95,19 @@ class Sight:
         the other to imitate. A board tilted by 20 mrad is 31 sigma from its own linearisation, and would count as that
         far from itself.
         """
+        found = self.nearest(values, concealed)
+        return found.names, found.distance
+
+    def nearest(self, values: Mapping[str, float], concealed: Sequence[str], but: Collection[str] = ()) -> Stand:
+        """`rival` with its parameters, those left out whose names, joined by +, are in ``but``."""
         sets = [{a, b} for a, b in combinations_with_replacement(self.catalogue.nodes, 2)]
-        lone = [s for s in sets if not set(concealed) <= s]
+        lone = [s for s in sets if not set(concealed) <= s and "+".join(sorted(s)) not in but]
         delta = self.change(values)
-        best = self._nearest(delta, lone, ("", float(np.linalg.norm(delta))))
-        for kept in concealed if len(concealed) == 2 else ():
-            beside = [s for s in lone if kept in s]
-            delta, own, limits = self._without(values, kept)
-            best = self._nearest(delta, beside, best, (kept, own, limits))
+        best = self._nearest(delta, lone, Stand("", float(np.linalg.norm(delta))))
+        for name in concealed if len(concealed) == 2 else ():
+            beside = [s for s in lone if name in s]
+            delta, kept = self._without(values, name)
+            best = self._nearest(delta, beside, best, kept)
         return best
 
     def alone(self, values: Mapping[str, float], concealed: Sequence[str]) -> float:
@@ -93,12 +119,12 @@ class Sight:
             return float("inf")
         found = []
         for kept in concealed:
-            delta, own, limits = self._without(values, kept)
-            found.append(self._nearest(delta, [{kept}], ("", np.inf), (kept, own, limits))[1])
+            delta, own = self._without(values, kept)
+            found.append(self._nearest(delta, [{kept}], Stand("", np.inf), own).distance)
         return min(found)
 
-    def _without(self, values: Mapping[str, float], kept: str) -> tuple[Array, Array, Array]:
-        """What the others change beside one concealed effect, that one's columns where it is, and how far they go."""
+    def _without(self, values: Mapping[str, float], kept: str) -> tuple[Array, Kept]:
+        """What the others change beside one concealed effect, and that one."""
         effect = next(e for e in self.problem.catalogue if e.name == kept)
         there = {p.name: values[p.name] for p in effect.parameters}
         steps = {p.name: STEP * (max(p.grid) - min(p.grid)) for p in effect.parameters if p.grid}
@@ -106,48 +132,60 @@ class Sight:
         own = self.through(whiten(self.problem, self.problem.covariance, j)[0])
         # An effect that is there may be fitted larger than its cap; of the other sign it may not.
         low = [-fit_value(p, there[p.name]) if not p.grid and bounds(p)[0] == 0 else -np.inf for p in effect.parameters]
-        limits = [(x, np.inf) for x in low]
-        return self.change(values, there), own, np.array(limits)
+        return self.change(values, there), Kept(effect, there, own, np.array([(x, np.inf) for x in low]))
 
-    def _nearest(
-        self, delta: Array, sets: Sequence[set[str]], best: Rival, own: tuple[str, Array, Array] | None = None
-    ) -> Rival:
-        """The nearest of some sets, or ``best`` where none is nearer.
-
-        ``own`` is an effect whose columns, and how far they go, are given.
-        """
+    def _nearest(self, delta: Array, sets: Sequence[set[str]], best: Stand, kept: Kept | None = None) -> Stand:
+        """The nearest of some sets, or ``best`` where none is nearer."""
         nodes = {e: [list(node.columns) for node in many] for e, many in self.catalogue.nodes.items()}
         limits = np.zeros((self.columns.shape[1], 2))
         for effect in self.problem.catalogue:
             for at in nodes[effect.name]:
-                limits[at] = [bounds(p) for p in amplitudes(effect)]
+                limits[at] = [bounds(p) for p in evidence.amplitudes(effect)]
         every = self.columns
-        if own is not None:
-            nodes[own[0]] = [list(range(len(limits), len(limits) + len(own[2])))]
-            every, limits = np.column_stack([every, own[1]]), np.vstack([limits, own[2]])
+        if kept is not None:
+            nodes[kept.effect.name] = [list(range(len(limits), len(limits) + len(kept.limits)))]
+            every, limits = np.column_stack([every, kept.columns]), np.vstack([limits, kept.limits])
         norm = np.linalg.norm(every, axis=0)
         unit = every / np.where(norm > 1e-9, norm, 1.0)
         gram, cross, whole = unit.T @ unit, unit.T @ delta, float(delta @ delta)
         limits = limits * np.where(norm > 1e-9, norm, 1.0)[:, None]
-        free: list[tuple[float, str, list[int], bool]] = []
+        free: list[tuple[float, set[str], list[int], Array]] = []
         for names in sets:
             for parts in product(*(nodes[n] for n in sorted(names))):
                 at = [k for part in parts for k in part if norm[k] > 1e-9]
-                size = np.linalg.lstsq(gram[np.ix_(at, at)], cross[at], rcond=1e-9)[0] if at else np.zeros(0)
-                inside = bool(np.all((size >= limits[at, 0]) & (size <= limits[at, 1])))
+                size = np.asarray(np.linalg.lstsq(gram[np.ix_(at, at)], cross[at], rcond=1e-9)[0] if at else [], float)
                 distance = float(np.sqrt(max(whole - float(cross[at] @ size), 0.0)))
-                free.append((distance, "+".join(sorted(names)), at, inside))
+                free.append((distance, names, at, size))
         # Without its caps a rival comes nearer: the nearest of those tells where to stop.
-        for distance, name, at, inside in sorted(free, key=lambda f: f[0]):
-            if distance >= best[1]:
+        for distance, names, at, size in sorted(free, key=lambda f: f[0]):
+            if distance >= best.distance:
                 break
-            if not inside:
+            if not np.all((size >= limits[at, 0]) & (size <= limits[at, 1])):
                 low = np.minimum(limits[at, 0], 0.0)
                 high = np.maximum(limits[at, 1], low + 1e-9)
-                distance = float(np.linalg.norm(lsq_linear(unit[:, at], delta, bounds=(low, high)).fun))
-            if distance < best[1]:
-                best = (name, distance)
+                bounded = lsq_linear(unit[:, at], delta, bounds=(low, high))
+                distance, size = float(np.linalg.norm(bounded.fun)), bounded.x
+            if distance < best.distance:
+                sizes = dict(zip(at, size / norm[at], strict=True))
+                best = Stand("+".join(sorted(names)), distance, self._values(names, sizes, kept))
         return best
+
+    def _values(self, names: set[str], sizes: Mapping[int, float], kept: Kept | None) -> dict[str, float]:
+        """Parameters of effects, from what their columns are multiplied by."""
+        out: dict[str, float] = {}
+        for effect in (e for e in self.problem.catalogue if e.name in names):
+            if kept is not None and effect.name == kept.effect.name:
+                first = self.columns.shape[1]
+                for k, p in enumerate(effect.parameters, first):
+                    there, change = kept.values[p.name], sizes.get(k, 0.0)
+                    out[p.name] = there + change if p.grid else value_of(p, fit_value(p, there) + change)
+                continue
+            own = self.catalogue.nodes[effect.name]
+            node = next((n for n in own if any(k in sizes for k in n.columns)), own[0])
+            many = evidence.amplitudes(effect)
+            out |= {p.name: value_of(p, sizes.get(k, 0.0)) for p, k in zip(many, node.columns, strict=True)}
+            out |= {**node.shape, **evidence.fixed(effect)}
+        return out
 
 
 def refitted(problem: Problem, data: Array, bends: Curvature) -> float:
@@ -170,10 +208,73 @@ def refitted(problem: Problem, data: Array, bends: Curvature) -> float:
     float
         [sigma]. Too large where the fit ends in a poorer valley.
     """
+    return _distance(problem, data, bends, (), {})
+
+
+def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequence[str], bends: Curvature) -> Rival:
+    """`Sight.rival` with amplitudes, shapes and settings fitted anew, of the `NEAREST` to first order.
+
+    A line's width goes with the square of what widens it: beside a board tilted by 20 mrad a wavefront's curvature of
+    -0.4 1/m is 12 sigma from an astigmatism to first order, and 0.2 from one of +0.4.
+
+    Parameters
+    ----------
+    sight : Sight
+    values : mapping
+        Parameters of the concealed effects.
+    concealed : sequence of str
+    bends : Curvature
+        `curvature.measure` of the same problem.
+
+    Returns
+    -------
+    tuple of str and float
+        Names joined by +, and [sigma]. None is followed further once one is within `CLOSE`. What ends beyond its caps
+        counts as far as it is to first order, if that is farther.
+    """
+    data = predict_all(sight.problem, values)
+    caps = {
+        p.name: bounds(p) for e in sight.problem.catalogue if e.name not in concealed for p in evidence.amplitudes(e)
+    }
+    tried: list[Stand] = []
+    for _ in range(NEAREST):
+        stand = sight.nearest(values, concealed, [t.names for t in tried])
+        if not stand.names:
+            break
+        try:
+            found = _distance(sight.problem, data, bends, stand.names.split("+"), stand.values, caps)
+        except BenchsimError:  # light that misses the board on the way
+            found = float("inf")
+        tried.append(replace(stand, distance=found if np.isfinite(found) else stand.distance))
+        if found < CLOSE:
+            break
+    best = min(tried, key=lambda t: t.distance, default=sight.nearest(values, concealed))
+    return best.names, best.distance
+
+
+def _distance(
+    problem: Problem,
+    data: Array,
+    bends: Curvature,
+    names: Collection[str],
+    begin: Mapping[str, float],
+    caps: Mapping[str, tuple[float, float]] | None = None,
+) -> float:
+    """Distance of noiseless data from what effects and settings can do, fitted from ``begin`` [sigma].
+
+    Infinite where a parameter of ``caps`` ends beyond them.
+    """
+    h = Hypothesis(tuple(e for e in problem.catalogue if e.name in names))
     context = Context(replace(problem, data=data), whitener(problem.covariance), np.ones(1), np.ones(1), bends)
-    stated = Point(np.zeros(len(problem.nuisances)), np.zeros(0), np.zeros(0))
-    nothing = np.zeros((len(data), 0))
-    solved = refit.fit(context, Hypothesis(()), [stated], Known(bends.first, stated.nuisance), nothing)
+    start = Point(
+        np.zeros(len(problem.nuisances)),
+        np.array([fit_value(p, begin[p.name]) for p in h.amplitudes]),
+        np.array([begin[p.name] for p in h.shapes]),
+    )
+    solved = refit.fit(context, h, [start], Known(bends.first, np.zeros(len(problem.nuisances))))
+    ends = {p.name: fit_value(p, solved.fit.values[p.name]) for p in h.amplitudes}
+    if any(not low * BEYOND <= ends[n] <= high * BEYOND for n, (low, high) in (caps or {}).items() if n in ends):
+        return float("inf")
     return float(np.sqrt(solved.fit.chi2 + solved.point.nuisance @ solved.point.nuisance))
 
 

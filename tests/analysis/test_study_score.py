@@ -159,6 +159,24 @@ def test_what_settings_take_up_when_fitted_anew_is_counted_apart(score):
     assert "fitted anew" not in score.table([named("canting", snr=10.0)])
 
 
+def test_a_rival_that_comes_near_when_fitted_anew_is_counted_there_too(score):
+    """Scenario: of three effects 9 sigma from a rival to first order one is 0.4 from it when it is fitted; a class is
+    said of that one, and of one of the others, which is wrong."""
+    title = "single effect, six settings: "
+    said = {"verdict": "class", "classes": [[["canting"], ["coma"]]]}
+    cases = [named("canting"), case(number=1, rival_refitted=["coma", 0.4], **said), case(number=2, **said)]
+    lines = score.table(cases).splitlines()
+    (at,) = (i for i, t in enumerate(lines) if t.startswith(f"{title}SNR ≥ 8, rival ≥ 5 σ"))
+    assert " 1/3 " in lines[at]
+    assert lines[at + 1].startswith("    of these with a rival as far, fitted anew") and " 1/2 " in lines[at + 1]
+    (at,) = (i for i, t in enumerate(lines) if t.startswith(f"{title}rival below 3 σ, SNR ≥ 8: a class"))
+    assert " 0/0 " in lines[at]
+    assert lines[at + 2].startswith("    with rivals fitted anew") and " 1/1 " in lines[at + 2]
+    alone = score.table([named("canting", rival_refitted=["coma", 0.4])]).splitlines()
+    (at,) = (i for i, t in enumerate(alone) if t.startswith(f"{title}rival below 3 σ: a lone name"))
+    assert alone[at + 1].startswith("    with rivals fitted anew") and " 1/1 " in alone[at + 1]
+
+
 def test_outside_the_catalogue_a_class_is_wrong_too(score):
     """Expectation: of a name, a class and silence, one is a wrong name and two are a name or a class."""
     cases = [

@@ -7,13 +7,15 @@ it far from the tilt; where the tilt is, its column holds 2 a x² as well.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchsim.diagnosis.curvature import measure
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
-from benchsim.trial.sight import Sight, refitted
+from benchsim.trial.sight import Sight, refitted, rival_refitted
 
 X, NOISE, CUBIC = np.linspace(-1, 1, 40), 0.01, 0.02
 
@@ -98,3 +100,32 @@ def test_settings_that_bend_take_up_more_than_to_first_order():
     cost = [s**2 + n * ((0.6 - 0.1 * s - 0.1 * s**2) / NOISE) ** 2 for s in np.linspace(0, 6, 60001)]
     assert refitted(problem, shifted, measure(problem)) == pytest.approx(np.sqrt(min(cost)), rel=1e-3)
     assert np.linalg.norm(Sight.of(problem).change({"b": 0.6})) > 5.5
+
+
+def test_a_rival_that_bends_comes_nearer_when_it_is_fitted():
+    """A swell changes the line by 0.4 d + d², a twist by 0.2 t + t². A swell of 0.5 makes 0.45: to first order twice
+    what a twist can at its cap, 1, and what one of 0.58 does."""
+
+    def bending(values, block):
+        d, t, o = (values.get(n, 0.0) for n in ("d", "t", f"o{block}"))
+        return 0.3 * X**2 + o + (0.4 * d + d**2 + 0.2 * t + t**2) * np.cos(5 * X)
+
+    catalogue = (
+        Effect("swell", "screen", (Parameter("d", "1", 0.5),)),
+        Effect("twist", "mirror", (Parameter("t", "1", 0.5),)),
+    )
+    s = sight(catalogue)
+    bent = Sight.of(replace(s.problem, predict=bending))
+    values = {"d": 0.5}
+    first, far = bent.rival(values, ("swell",))
+    name, distance = rival_refitted(bent, values, ("swell",), measure(bent.problem))
+    assert first == name == "twist"
+    assert far > 20
+    assert distance < 0.1
+
+
+def test_a_rival_that_would_need_more_than_its_cap_stays_as_far_as_it_is():
+    s = sight(CATALOGUE[:2])
+    values = {"b": 4.5}
+    first = s.rival(values, ("shear",))
+    assert rival_refitted(s, values, ("shear",), measure(s.problem)) == pytest.approx(first)
