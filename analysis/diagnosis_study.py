@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 import study_cases as draw
 import study_score as score
+import study_words as words
 
 from benchsim import diagnosis
 from benchsim.bench.model import Recording
@@ -299,7 +300,7 @@ def tell(cases: list[dict[str, Any]], *more: str) -> None:
         by.setdefault(c.get("tier", only), []).append(c)
     for tier, own in by.items():
         print(f"== {tier}: {len(own)} cases ==\n")
-        print(score.table(own), score.confusion(own), score.reliability(own), sep="\n\n", end="\n\n")
+        print(score.table(own), words.confusion(own), words.reliability(own), sep="\n\n", end="\n\n")
     for text in more:
         print(text, end="\n\n")
     bad = [c for c in cases if "error" in c or "fresh_error" in c]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,8 +24,6 @@ OUTSIDE = ("removed", "stranger")
 STD = (0.9, 1.15)
 FAR = 0.015
 """Bars of the parameters' (estimate − truth)/σ: standard deviation about zero, and share beyond 3."""
-
-EDGES = (0, 0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999, 1.0000001)
 
 WIDTH = 100
 """Of the quantities' names."""
@@ -330,7 +327,9 @@ def removed(title: str, excess: Sequence[Mapping[str, float]], bar: float) -> li
     pooled = 1 - after[pick].sum(axis=1) / np.maximum(before[pick].sum(axis=1), 1e-9)
     low, most, high = np.percentile(pooled, [2.5, 95, 97.5])
     state = "met" if value >= bar else "missed" if most < bar else "open"
-    alone = [{"verdict": "", "share": 1 - h["after"] / h["before"]} for h in excess if much(h["data"], h["before"])]
+    alone = [
+        {"verdict": "", "share": 1 - h["after"] / h["before"]} for h in excess if much(int(h["data"]), h["before"])
+    ]
     return [
         f"{name:<{WIDTH}}{value:11.3f}  ({low:.3f}–{high:.3f})  ≥ {bar}  {state}, n = {len(excess)}",
         row(f"    cases with much to remove: {bar} or more of it", alone, lambda c: c["share"] >= bar),
@@ -348,67 +347,3 @@ def silent(of: Mapping[str, Sequence[Case]]) -> list[str]:
             where = f", {unknown} of unknown SNR and in no line by SNR" if unknown else ""
             parts.append(f"{key} {len(lost)} of {len(group)}{where}")
     return [f"without a verdict: {'; '.join(parts)}"] if parts else []
-
-
-def confusion(cases: Iterable[Case]) -> str:
-    """What is concealed against what was said of it, apart for what the catalogue holds, what it lacks, and nothing."""
-    groups: dict[str, dict[str, Counter[str]]] = {}
-    for c in cases:
-        key = c["row"]
-        held = "in the catalogue" if key in CATALOGUED else "not in the catalogue"
-        group = f"concealed, {held}" if key in (*CATALOGUED, *OUTSIDE) else "nothing concealed"
-        groups.setdefault(group, {}).setdefault(concealed(c), Counter())[words(c)] += 1
-    lines = []
-    for group in sorted(groups):
-        lines.append(f"{group}:")
-        for true in sorted(groups[group]):
-            counts = groups[group][true]
-            line = ", ".join(f"{text} {n}" for text, n in counts.most_common())
-            lines.append(f"  {true:<44}{sum(counts.values()):>4}: {line}")
-    return "\n".join(lines)
-
-
-def concealed(case: Case) -> str:
-    """What a case conceals: ``screen-bow + canting``, ``dent``, ``nothing (clean-settings)``."""
-    if "truth" not in case:
-        return f"not known ({case['row']})"
-    truth = case["truth"]
-    name = truth["stranger"] or " + ".join(sorted(truth["effects"])) or "nothing"
-    return name if case["row"] in (*CATALOGUED, "stranger", "clean") else f"{name} ({case['row']})"
-
-
-def words(case: Case) -> str:
-    """What was said of it: ``screen-bow``, ``{screen-bow | grid-scale}``, ``in the screen``, ``nothing``."""
-    if "verdict" not in case:
-        return "no verdict"
-    text = claims.said_in_words(
-        {
-            "effects": [{"name": name} for name in case["named"]],
-            "classes": [{"members": members} for members in case["classes"]],
-            "location": case["location"],
-            "verdict": case["verdict"],
-        }
-    )
-    return text if text != "nothing" or case["verdict"] == "nothing-missing" else f"{case['verdict']}, without a name"
-
-
-def reliability(cases: Iterable[Case]) -> str:
-    """P(present) as stated against how often the effect is there."""
-    stated, there = [], []
-    for c in told(list(cases)):
-        if c["row"] in OUTSIDE:
-            continue
-        for name, p in c["probability"].items():
-            stated.append(p)
-            there.append(name in c["truth"]["effects"])
-    p, t = np.array(stated), np.array(there, bool)
-    lines = ["P(present) stated      n    there"]
-    for low, high in itertools.pairwise(EDGES):
-        inside = (p >= low) & (p < high)
-        if inside.any():
-            k, n = int(t[inside].sum()), int(inside.sum())
-            a, b = wilson(k, n, 1.96)
-            lines.append(
-                f"{low:6.3f} - {min(high, 1):5.3f} {n:>8} {k / n:8.4f} ({a:.4f}-{b:.4f})  mean P {p[inside].mean():.4f}"
-            )
-    return "\n".join(lines)

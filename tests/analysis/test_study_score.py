@@ -230,9 +230,9 @@ def test_a_fresh_recording_that_failed_is_a_miss(score):
     assert line(score.table(cases), "amended.toml on a fresh recording")[0] == (1, 2)
 
 
-def test_pairs_and_every_class_are_in_the_confusion(score):
+def test_pairs_and_every_class_are_in_the_confusion(script):
     classes = [[["coma"], ["window"]], [["screen-bow"], ["grid-scale"]]]
-    text = score.confusion(
+    text = script("study_words").confusion(
         [
             case(row="pair", truth=("canting", "coma"), verdict="class", classes=classes),
             named("coma", row="removed"),
