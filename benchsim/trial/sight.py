@@ -230,7 +230,7 @@ def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequenc
     -------
     tuple of str and float
         Names joined by +, and [sigma]. None is followed further once one is within `CLOSE`. What ends beyond its caps
-        counts as far as it is to first order, if that is farther.
+        counts as far off as it is to first order, within them.
     """
     data = predict_all(sight.problem, values)
     caps = {
@@ -248,7 +248,7 @@ def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequenc
         tried.append(replace(stand, distance=found if np.isfinite(found) else stand.distance))
         if found < CLOSE:
             break
-    best = min(tried, key=lambda t: t.distance, default=sight.nearest(values, concealed))
+    best = min(tried, key=lambda t: t.distance, default=stand)
     return best.names, best.distance
 
 
