@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from benchsim.diagnosis import curvature, evidence
-from benchsim.diagnosis.hypothesis import Change, Context, Hypothesis, Known, Point, span, values
+from benchsim.diagnosis import evidence
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, span, values
+from benchsim.diagnosis.model import Model, model_about
 
 Array = NDArray[np.float64]
 Columns = Callable[[Array], Array]
@@ -108,10 +108,9 @@ def _costs_of(context: Context, h: Hypothesis, prior: Prior, thetas: Sequence[Ar
     return out
 
 
-def normal_form(white: Array, residual: Array, prior: Prior, theta: Array) -> tuple[Array, Array]:
-    """Second and (less) first derivatives of −ln posterior as linearised."""
-    hessian = white.T @ white + np.diag(prior.precision)
-    return hessian, white.T @ residual - prior.precision * theta - prior.slope
+def posterior_form(second: Array, force: Array, prior: Prior, theta: Array) -> tuple[Array, Array]:
+    """Second and (less) first derivatives of −ln posterior as linearised, from those of −ln likelihood."""
+    return second + np.diag(prior.precision), force - prior.precision * theta - prior.slope
 
 
 @dataclass(frozen=True)
@@ -196,82 +195,13 @@ class State:
     residual: Array
 
 
-@dataclass(frozen=True)
-class _Bend:
-    """Second derivatives of one block, whitened; only those by nuisances that act nonlinearly there are not 0.
-
-    ``second`` are those by pairs of nuisances, ``changes`` the amplitudes' M and bend (None: not needed).
-    """
-
-    rows: slice
-    curved: NDArray[np.intp]
-    second: Array
-    changes: Sequence[Change]
-
-
-@dataclass(frozen=True)
-class _Model:
-    """Residual and derivatives to second order about a point, whitened; ``plain`` are the amplitudes' M and bend before
-    whitening, of all nuisances. Of the columns the first ``p`` are the nuisances'."""
-
-    residual: Array
-    columns: Array
-    p: int
-    bends: Sequence[_Bend]
-    plain: Sequence[Change]
-
-    def at(self, step: Array) -> tuple[Array, Array]:
-        """Whitened residual and columns a step away."""
-        p, dq = self.p, step[self.p :]
-        columns, residual = self.columns.copy(), self.residual - self.columns @ step
-        for b in self.bends:
-            dx = step[b.curved]
-            more = b.second @ dx
-            bent = 0.5 * more @ dx
-            for i, change in enumerate(b.changes):
-                if change is not None:
-                    moved = change[0] @ dx
-                    more += dq[i] * change[0]
-                    columns[b.rows, p + i] += moved + dq[i] * change[1]
-                    bent += dq[i] * (moved + 0.5 * dq[i] * change[1])
-            columns[b.rows, b.curved] += more
-            residual[b.rows] -= bent
-        return residual, columns
-
-
-def _model(context: Context, h: Hypothesis, theta: Array, white: Array, known: Known, own: Array) -> _Model:
-    """About a point whose residual is whitened already."""
-    columns = context.whiten(np.column_stack([carried(context, h, known, theta).columns, own]))
-    plain: list[Change] = [*_changes(context, h, theta), *[None] * len(h.shapes)]
-    return _Model(white, columns, len(context.problem.nuisances), _bends(context, plain), plain)
-
-
-def _bends(context: Context, plain: Sequence[Change]) -> list[_Bend]:
-    """Of every block that bends."""
-    about = context.curvature
-    if about is None:
-        return []
-    out = []
-    for b, (low, curved, second) in enumerate(zip(context.whiten.lower, about.curved, context.second(), strict=True)):
-        rows, changes = context.problem.rows(b), list[Change]()
-        for change in plain:
-            if change is None:
-                changes.append(None)
-                continue
-            own = np.column_stack([change[0][rows, curved], change[1][rows]])
-            white = solve_triangular(low, own, lower=True, check_finite=False)
-            changes.append((white[:, :-1], white[:, -1]))
-        out.append(_Bend(rows, curved, second, changes))
-    return out
-
-
 def _tempered(prior: Prior, theta: Array, white: Array, s: float) -> float:
     """−ln posterior with noise s times larger."""
     return 0.5 * float(white @ white) / s**2 + prior.cost(theta)
 
 
 def _downhill(
-    model: _Model, prior: Prior, theta: Array, reach: float, s: float, least: float = DESCENT
+    model: Model, prior: Prior, theta: Array, reach: float, s: float, least: float = DESCENT
 ) -> tuple[Array, float, Array]:
     """Minimum of the model within ``reach`` with noise s times larger: step, cost and whitened residual there.
 
@@ -281,7 +211,8 @@ def _downhill(
     residual, white = model.at(step)
     cost = _tempered(prior, theta, residual, s)
     for _ in range(STEPS):
-        normal = normal_form(white / s, residual / s, prior, theta + step)
+        second, force = model.normal(residual, white)
+        normal = posterior_form(second / s**2, force / s**2, prior, theta + step)
         steps = Steps(normal, prior, theta + step, model.p)
         if steps.within()[1] < least:
             break
@@ -310,7 +241,7 @@ def _downhill(
 
 def promised_by(context: Context, h: Hypothesis, prior: Prior, state: State, known: Known, own: Array) -> float:
     """By how much the second-order model about a point, whose columns are given, lets −ln posterior fall."""
-    model = _model(context, h, state.theta, context.whiten(state.residual), known, own)
+    model = model_about(context, h, state.theta, context.whiten(state.residual), known, own)
     return state.cost - _downhill(model, prior, state.theta, FAR, 1.0)[1]
 
 
@@ -379,7 +310,7 @@ def _walk(
     s = s if tempered and s > TEMPERED else 1.0
     reach, exact = REACH if tempered else FAR, True
     for _ in range(renewals):
-        model = _model(context, h, state.theta, white, known, own)
+        model = model_about(context, h, state.theta, white, known, own)
         before = _tempered(prior, state.theta, white, s)
         step, promised, expected = _downhill(model, prior, state.theta, reach, s, least)
         promise, length = before - promised, float(np.abs(step / prior.unit).max(initial=0.0))
@@ -406,7 +337,7 @@ def _walk(
     return state, own, exact
 
 
-def _own_carried(model: _Model, own: Array, step: Array, columns_at: Columns, theta: Array) -> tuple[Array, bool]:
+def _own_carried(model: Model, own: Array, step: Array, columns_at: Columns, theta: Array) -> tuple[Array, bool]:
     """Own columns a step further, by the second derivatives where those are known; and whether they are exact."""
     if any(change is None for change in model.plain) or not own.shape[1]:
         return columns_at(theta), True
@@ -445,39 +376,3 @@ def excess(white: Array) -> float:
     """By how much −ln likelihood lies above three sigma of what noise gives."""
     n = len(white)
     return max(0.0, 0.5 * float(white @ white) - 0.5 * n - 1.5 * np.sqrt(2 * n))
-
-
-def _changes(context: Context, h: Hypothesis, theta: Array) -> list[Change]:
-    """M of every own amplitude, as it is at this point."""
-    p, k = len(context.problem.nuisances), len(h.amplitudes)
-    if context.curvature is None:
-        return [None] * k
-    shapes = {s.name: float(x) for s, x in zip(h.shapes, theta[p + k :], strict=True)}
-    out: list[Change] = []
-    first = p
-    for e in h.effects:
-        others = {s.name: round(shapes[s.name], 2) for s in evidence.shapes(e)} | dict(evidence.fixed(e))
-        for a in evidence.amplitudes(e):
-            # What is there as a whole changes what the others do: measured alone, its M would be another's.
-            out.append(None if e.whole else context.change(a, float(theta[first]), others))
-            first += 1
-    return out
-
-
-def sizes_of(context: Context, h: Hypothesis, theta: Array) -> dict[str, float]:
-    p = len(context.problem.nuisances)
-    return {a.name: float(q) for a, q in zip(h.amplitudes, theta[p:], strict=False)}
-
-
-def carried(context: Context, h: Hypothesis, known: Known, theta: Array) -> Known:
-    """The nuisances' columns carried from where they are known to this point by second derivatives."""
-    about, p = context.curvature, len(context.problem.nuisances)
-    if about is None:
-        return known
-    now = sizes_of(context, h, theta)
-    columns = known.columns + curvature.nuisance_columns(context.problem, about, theta[:p] - known.nuisance)
-    columns -= about.first
-    for name, change in zip(now, _changes(context, h, theta), strict=True):
-        if change is not None:
-            columns += (now[name] - known.amplitude.get(name, 0.0)) * change[0]
-    return Known(columns, theta[:p].copy(), now)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from benchsim.diagnosis import descent, evidence, refit
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, each, values
+from benchsim.diagnosis.model import carried
 
 Array = NDArray[np.float64]
 
@@ -108,7 +109,7 @@ def foretell(context: Context, h: Hypothesis, there: Mapping[str, float] | None 
         return None
     state, own = ends[0], columns_each([ends[0].theta])[0]
     point = descent.point_of(state.theta, p, k)
-    known = descent.carried(context, h, stated, state.theta)
+    known = carried(context, h, stated, state.theta)
     lin = refit.about(context, h, point, state.residual, known, own)
     # What is sought beside others is what lets settings be as stated.
     few = slice(LOOSE + 1) if there else slice(None)

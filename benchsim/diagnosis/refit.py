@@ -29,15 +29,13 @@ from benchsim.diagnosis.descent import (
     State,
     Steps,
     begin,
-    carried,
     descend,
     excess,
     held,
-    normal_form,
     point_of,
+    posterior_form,
     prior_of,
     promised_by,
-    sizes_of,
     still,
     theta_of,
 )
@@ -45,6 +43,7 @@ from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import Fit
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, Solved, span, values
 from benchsim.diagnosis.linear import Linear, posterior
+from benchsim.diagnosis.model import carried, sizes_of
 
 Array = NDArray[np.float64]
 
@@ -261,7 +260,8 @@ def fit(
             hyper, still_there = now, False
             prior = prior_of(context, h, context.scales[hyper[0]], terms[hyper[1]].field_sigma)
             (state,) = begin(context, h, prior, [point_of(state.theta, p, k)])
-        normal = normal_form(white(known.columns, own), context.whiten(state.residual), prior, state.theta)
+        columns, left = white(known.columns, own), context.whiten(state.residual)
+        normal = posterior_form(columns.T @ columns, columns.T @ left, prior, state.theta)
         promised, promise = promise, Steps(normal, prior, state.theta, p).within()[1]
         if stalled:
             # Where the data bend strongly, derivatives of first order promise what cannot be had.
