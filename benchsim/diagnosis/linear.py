@@ -103,11 +103,14 @@ def lowered(lower: Sequence[Array], columns: Array) -> Array:
         # One call for all: a triangular solution of two rows costs hundreds of times its arithmetic.
         flat = columns.reshape(len(lower), len(lower[0]), -1)
         return np.asarray(np.linalg.solve(np.stack(lower), flat)).reshape(columns.shape)
-    out: Array = np.empty(columns.shape)
+    out: Array = np.zeros(columns.shape)
+    whole, solved = (a if a.ndim == 2 else a[:, None] for a in (columns, out))
     first = 0
     for low in lower:
         rows = slice(first, first + len(low))
-        out[rows] = solve_triangular(low, columns[rows], lower=True, check_finite=False)
+        # Most columns are 0 in most blocks: an exposure's settings do nothing in all others.
+        some = np.flatnonzero(whole[rows].any(axis=0))
+        solved[rows, some] = solve_triangular(low, whole[rows, some], lower=True, check_finite=False)
         first += len(low)
     return out
 

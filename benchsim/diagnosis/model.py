@@ -18,6 +18,9 @@ from benchsim.diagnosis.hypothesis import Change, Context, Hypothesis, Known
 Array = NDArray[np.float64]
 Live = Sequence[tuple[slice, NDArray[np.intp]]]
 
+STRETCH = 100
+"""Least rows whose part of the normal equations is worked out alone."""
+
 
 @dataclass(frozen=True)
 class Bend:
@@ -35,7 +38,7 @@ class Bend:
 @dataclass(frozen=True)
 class Model:
     """Residual and derivatives to second order about a point, whitened; ``plain`` are the amplitudes' M and bend before
-    whitening, of all nuisances. Of the columns the first ``p`` are the nuisances'; ``live`` are every block's rows and
+    whitening, of all nuisances. Of the columns the first ``p`` are the nuisances'; ``live`` are stretches of rows and
     the columns that may differ from 0 there, since an exposure's settings do nothing in all others."""
 
     residual: Array
@@ -74,20 +77,26 @@ class Model:
 
 def model_about(context: Context, h: Hypothesis, theta: Array, white: Array, known: Known, own: Array) -> Model:
     """About a point whose residual is whitened already."""
-    problem, p = context.problem, len(context.problem.nuisances)
-    columns = np.column_stack([carried(context, h, known, theta).columns, own])
+    p = len(context.problem.nuisances)
+    columns = context.whiten(np.column_stack([carried(context, h, known, theta).columns, own]))
     plain: list[Change] = [*changes_of(context, h, theta), *[None] * len(h.shapes)]
-    bends, live = _bends(context, plain), []
-    whitened = np.zeros_like(columns)
-    for b, low in enumerate(context.whiten.lower):
-        rows = problem.rows(b)
-        some = np.asarray(columns[rows].any(axis=0))
-        some[p:] = True
-        if bends:
-            some[bends[b].curved] = True
-        live.append((rows, np.flatnonzero(some)))
-        whitened[rows, some] = solve_triangular(low, columns[rows, some], lower=True, check_finite=False)
-    return Model(white, whitened, p, bends, plain, live)
+    bends = _bends(context, plain)
+    some = columns != 0.0
+    some[:, p:] = True
+    for b in bends:
+        some[b.rows, b.curved] = True
+    live = [(rows, np.flatnonzero(some[rows].any(axis=0))) for rows in _stretches(context)]
+    return Model(white, columns, p, bends, plain, live)
+
+
+def _stretches(context: Context) -> list[slice]:
+    """Rows of blocks, small ones taken together: a product of two rows costs hundreds of times its arithmetic."""
+    ends, first, out = np.cumsum([len(low) for low in context.whiten.lower]).tolist(), 0, []
+    for end in ends:
+        if end - first >= STRETCH or end == ends[-1]:
+            out.append(slice(first, end))
+            first = end
+    return out
 
 
 def _bends(context: Context, plain: Sequence[Change]) -> list[Bend]:
