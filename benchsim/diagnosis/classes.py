@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2, norm
 
+from benchsim.diagnosis import settings
 from benchsim.diagnosis.fits import Effects, Fit, Naming
 from benchsim.diagnosis.linear import Linear, marginal
 from benchsim.diagnosis.problem import Parameter, Problem
@@ -25,6 +26,9 @@ Array = NDArray[np.float64]
 
 CLOSE = 3.0
 """Separation in sigma below which hypotheses form a class."""
+
+COST = 0.5 * CLOSE**2
+"""What that separation costs in ln Z."""
 
 SURE, LIKELY = 0.99, 0.9
 """Probabilities at which an effect is named, and is probable."""
@@ -60,8 +64,8 @@ class Space:
     index: Mapping[str, NDArray[np.intp]]
 
     def places(self, effects: Iterable[str]) -> NDArray[np.intp]:
-        """Places of a hypothesis' amplitudes."""
-        parts = [self.index[e] for e in effects]
+        """Places of a hypothesis' amplitudes; setting errors have none."""
+        parts = [self.index[e] for e in effects if e != settings.NAME]
         return np.concatenate(parts) if parts else np.zeros(0, np.intp)
 
 
@@ -168,15 +172,25 @@ class Weighed:
         return float(sum(p for h, p in z.items() if any(w <= set(h) for w in wanted)) / sum(z.values()))
 
 
-def weighed(naming: Naming) -> Weighed:
-    """Gather the evidence; an unconverged fit is left out together with its linear value: nothing may rest on it."""
-    found = dict(naming.screened)
-    for fit in naming.fits:
-        found.pop(fit.effects, None)
-        if fit.converged:
-            found[fit.effects] = fit.log_evidence
-    found.setdefault((), naming.null.log_evidence)
-    return Weighed(found, frozenset(f.effects for f in naming.fits if f.converged))
+def weighed(naming: Naming, stated: bool) -> Weighed:
+    """Gather the evidence; an unconverged fit is left out together with its linear value: nothing may rest on it.
+
+    Where somebody stated the setting errors, every hypothesis is there twice: as it is, and with `settings.NAME`. What
+    was not refitted is divided as the fit about which it was weighed.
+    """
+    fits = {f.effects: f for f in (naming.null, *naming.fits)}
+    listed = [(e, z, fits.get(source, naming.null)) for e, z, source in naming.screened if e not in fits]
+    listed += [(e, f.log_evidence, f) for e, f in fits.items() if f.converged or not e]
+    found: dict[Effects, float] = {}
+    for effects, z, fit in listed:
+        if stated:
+            near, far = settings.parted(naming.setting_scales, fit.log_scales)
+            total = np.logaddexp(near, far)
+            found[effects], found[(*effects, settings.NAME)] = z + near - total, z + far - total
+        else:
+            found[effects] = z
+    done = [e for e, f in fits.items() if f.converged]
+    return Weighed(found, frozenset([*done, *((*e, settings.NAME) for e in done if stated)]))
 
 
 def complete(hypotheses: Weighed, best: Effects, within: Space) -> Weighed:
@@ -186,15 +200,25 @@ def complete(hypotheses: Weighed, best: Effects, within: Space) -> Weighed:
     for sets of three and more: of those only the most probable were weighed.
     """
     z = dict(hypotheses.log_evidence)
-    order = list(within.index)
+    order = [*within.index, settings.NAME]
     known = {frozenset(h) for h in z}
-    for e in best:
+    for e in (e for e in best if e != settings.NAME):
         rest = _less(best, frozenset([e]))
-        for new in (None, *(n for n in order if n not in best)):
+        for new in (None, *(n for n in within.index if n not in best)):
             effects = tuple(n for n in order if n in rest or n == new)
             if frozenset(effects) not in known:
                 z[effects] = z[best] + _gaussian(within, effects) - _gaussian(within, best)
     return replace(hypotheses, log_evidence=z)
+
+
+def _close(hypotheses: Weighed, best: Effects, other: Effects, signal: Array, within: Space) -> bool:
+    """Whether the data cannot tell two hypotheses apart.
+
+    Between an effect and setting errors there is no distance that holds at the scale of both: ln Z decides.
+    """
+    if (settings.NAME in best) != (settings.NAME in other):
+        return hypotheses.log_evidence[best] - hypotheses.log_evidence[other] < COST
+    return separation(within, signal, other) < CLOSE
 
 
 def _gaussian(within: Space, effects: Effects) -> float:
@@ -247,14 +271,14 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
     z = hypotheses.log_evidence
     mine = frozenset(best)
     others = [h for h in z if h and not (mine <= set(h) or set(h) <= mine)]
-    distance = {h: separation(within, signal, h) for h in others}
-    near = {h for h in others if distance[h] < CLOSE}
-    near |= {h for h in others if h in hypotheses.refitted and z[best] - z[h] < 0.5 * CLOSE**2}
+    apart = {h: separation(within, signal, h) for h in others if (settings.NAME in h) == (settings.NAME in mine)}
+    near = {h for h in others if h in apart and apart[h] < CLOSE}
+    near |= {h for h in others if h in hypotheses.refitted and z[best] - z[h] < COST}
     if hypotheses.probability([best]) < LIKELY:
         near |= {h for h in others if z[best] - z[h] < float(np.log(SURE / (1 - SURE)))}
     rivals = [h for h in near if not any(set(o) < set(h) and z[o] >= z[h] for o in near)]
     rivals.sort(key=lambda h: -z[h])
-    nearest = min(distance.values(), default=float("inf"))
+    nearest = min(apart.values(), default=float("inf"))
     swaps = {e: [_less(r, mine - {e}) for r in rivals if mine - {e} < set(r)] for e in best}
     together = {frozenset(n for part in parts for n in part) for parts in product(*([(e,), *swaps[e]] for e in best))}
     if all(frozenset(r) in together for r in rivals):
@@ -308,7 +332,7 @@ def likely(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> 
     for e in sorted(best, key=lambda e: -z.get(_less(best, frozenset([e])), -np.inf)):
         rest = _less(kept, frozenset([e]))
         instead = [h for h in z if set(rest) < set(h) and e not in h and len(h) == len(kept)]
-        filled = [z[kept], *(z[h] for h in instead if separation(within, signal, h) < CLOSE)]
+        filled = [z[kept], *(z[h] for h in instead if _close(hypotheses, best, h, signal, within))]
         if np.logaddexp.reduce(filled) - z.get(rest, -np.inf) < np.log(LIKELY / (1 - LIKELY)):
             kept = rest
     return kept

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
-from benchsim.diagnosis import attachments, classes, following, held_out, laws, limits, verdict
+from benchsim.diagnosis import attachments, classes, following, held_out, laws, limits
 from benchsim.diagnosis.attachments import Attached
 from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.fits import Effects, Fit, Naming
@@ -17,7 +18,7 @@ from benchsim.diagnosis.judging import Best, Judged, judge, winner
 from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.naming import name
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.result import Class, Diagnosis, Law, Residuals, SplitBy
+from benchsim.diagnosis.result import Class, Diagnosis, Found, Law, Left, Residuals, SplitBy
 from benchsim.diagnosis.verdict import Findings
 
 Array = NDArray[np.float64]
@@ -25,10 +26,6 @@ Progress = Callable[[str, float], None]
 
 LOUD = 1.3
 """Errors over stated ones from which on a remark is due."""
-
-
-SUSPECTED = 0.5
-"""Probability of an effect that is not claimed from which on it is mentioned."""
 
 
 def diagnose(problem: Problem, progress: Progress | None = None, *, bends: Curvature | None = None) -> Diagnosis:
@@ -60,31 +57,40 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
     tell("functions without a name", 0.62)
     judged = judge(problem, naming)
     said, place, on, best, findings = judged.verdict, judged.place, judged.on, judged.best, judged.findings
+    found, opened = judged.found, judged.classes
     notes = list(judged.notes)
     tell("settings left out", 0.8)
     laid = winner(findings, place) if said == "located" else None
-    about = classes.about(naming.linear, on)
-    if laid is not None:
-        about = replace(about, residual=laid.linear.residual, nuisance=laid.linear.nuisance)
-    many = held_out.folds(problem, naming, about, laid)
-    seen = naming if laid is None else replace(naming, noise=held_out.noise_beside(problem, naming, laid))
-    shown = held_out.show(problem, many, judged.prepared)
+    many = judged.folds
     law: Law | None = None
     if laid is not None:
-        law, why = laws.law(problem, naming, on, laid, many)
+        about = classes.about(naming.linear, on if findings.stands else naming.null)
+        about = replace(about, residual=laid.linear.residual, nuisance=laid.linear.nuisance)
+        beside = held_out.folds(problem, naming, about, laid)
+        law, why = laws.law(problem, naming, on if findings.stands else naming.null, laid, beside)
         notes += [why] if why else []
+        if law is None and not findings.stands and on.effects:
+            # Names that predict are stated rather than a function that does not; both would count the same twice.
+            laid = None
+        else:
+            many = beside
+        if law is not None and not findings.stands:
+            on, found, opened = naming.null, (), ()
+    seen = naming if laid is None else replace(naming, noise=held_out.noise_beside(problem, naming, laid))
+    shown = held_out.show(problem, many, judged.prepared)
     tell("what could be told apart", 0.93)
-    grouped, ahead = _open(problem, best, findings, said, _doubted(naming, best, judged))
-    within = best.space if findings.stands else classes.space(problem, naming.linear, naming.null.setting_scale)
+    grouped, ahead = _open(problem, judged, said, found, opened)
+    stated = on.effects == best.fit.effects
+    within = best.space if stated else classes.space(problem, classes.about(naming.linear, on), on.setting_scale)
     sizes = limits.limits(problem, within, naming.linear.names, on.effects)
     sigma = np.sqrt(np.concatenate([np.diag(c) for c in seen.noise.covariance]))
     residuals = _residuals(problem, naming, on, laid, shown, sigma)
     first = next((k for k in ("c", *seen.noise.scale) if k in seen.noise.scale), None)
-    notes += _remarks(problem, seen, best, findings, said)
+    notes += _remarks(problem, seen, findings)
     tell("done", 1.0)
     return Diagnosis(
         verdict=said,
-        effects=judged.found,
+        effects=found,
         classes=grouped,
         location=place,
         law=law,
@@ -100,35 +106,25 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
         values=dict(on.values),
         residuals=residuals,
         notes=tuple(notes),
+        left=tuple(Left(n, findings.left.chance(n), findings.left.families[n].rms) for n in findings.left.alarming),
     )
 
 
-def _suspect(naming: Naming) -> tuple[str, float] | None:
-    """The most probable effect, if it is worth a word."""
-    top, p = max(naming.probability.items(), key=lambda item: item[1], default=("", 0.0))
-    return (top, p) if p >= SUSPECTED else None
-
-
-def _doubted(naming: Naming, best: Best, judged: Judged) -> tuple[Effects, ...]:
-    """Sets between which a probable or a suspected effect leaves the choice."""
-    if judged.verdict == "nothing-missing":
-        suspect = _suspect(naming)
-        return () if suspect is None else ((), (suspect[0],))
-    doubt = {f.name for f in judged.found if f.confidence != "named"}
-    own = best.fit.effects
-    return (own, tuple(e for e in own if e not in doubt)) if doubt else ()
-
-
 def _open(
-    problem: Problem, best: Best, findings: Findings, said: str, doubted: tuple[Effects, ...]
+    problem: Problem,
+    judged: Judged,
+    said: str,
+    found: Sequence[Found],
+    groups: tuple[tuple[Effects, ...], ...],
 ) -> tuple[tuple[Class, ...], tuple[SplitBy, ...]]:
     """Classes with what would split them, and what to record next."""
-    groups = best.claim.classes if best.claim is not None and findings.stands else ()
+    best = judged.best
     unnamed = said in ("located", "unexplained")
-    if not groups and not unnamed and not doubted:
+    doubt = {f.name for f in found if f.confidence != "named"}
+    if not groups and not unnamed and not doubt:
         return (), ()
     further = problem.further() if problem.further is not None else ()
-    lone = best.claim.lone if best.claim is not None and findings.stands else ()
+    lone = tuple(f.name for f in found)
     everyone: list[Alive] = []
     made = []
     for k, members in enumerate(groups):
@@ -139,14 +135,23 @@ def _open(
         # All members are stated as open: what splits them is sought whichever of them it is.
         even = [replace(a, probability=1 / len(alive)) for a in alive]
         ranked = following.rank(problem, best.linear, _scale(best), best.space, even, further)
-        probability = best.hypotheses.probability(members)
-        made.append(Class(members, probability, ranked[0] if ranked else None))
+        made.append(Class(members, _together(best, members), ranked[0] if ranked else None))
     if unnamed:
         top = sorted((h for h in best.hypotheses.log_evidence.items() if h[0]), key=lambda h: -h[1])[: classes.MEMBERS]
         everyone = _alive(best, [h for h, _ in top])
     elif not groups:
-        everyone = _alive(best, doubted)
+        own = best.fit.effects
+        everyone = _alive(best, (own, tuple(e for e in own if e not in doubt)))
     return tuple(made), following.rank(problem, best.linear, _scale(best), best.space, everyone, further)
+
+
+def _together(best: Best, members: Sequence[Effects]) -> float:
+    """That one of the members is there; with nothing among them, that none beside them is."""
+    if () not in members:
+        return best.hypotheses.probability(members)
+    z = best.hypotheses.log_evidence
+    listed = [z[h] for h in z if set(h) in [set(m) for m in members]]
+    return float(np.exp(logsumexp(listed) - logsumexp(list(z.values())))) if listed else 0.0
 
 
 def _scale(best: Best) -> float:
@@ -198,7 +203,7 @@ def _rms(problem: Problem, residuals: Residuals) -> Mapping[str, tuple[float, fl
     }
 
 
-def _remarks(problem: Problem, naming: Naming, best: Best, findings: Findings, said: str) -> list[str]:
+def _remarks(problem: Problem, naming: Naming, findings: Findings) -> list[str]:
     """Sentences on what limits the conclusion."""
     out = []
     stated = np.concatenate([np.diag(c) for c in problem.covariance])
@@ -220,28 +225,17 @@ def _remarks(problem: Problem, naming: Naming, best: Best, findings: Findings, s
         out.append("Settings alone were not followed to their end: their probability is a lower bound.")
     if len(set(problem.groups)) < held_out.FEWEST:
         out.append("Fewer than three settings: none can be left out to test the prediction.")
-    if findings.claim is not None and findings.scale >= verdict.STRETCHED and findings.left.acceptable:
+    if findings.claim is not None and findings.refuted:
+        part = 100 * min(max(f.part for f in findings.further if f.matters), 1.0)
         out.append(
-            f"{' + '.join(findings.claim.best)} would explain the data if the settings were {findings.scale:.2g} times "
-            "as far off as stated: either those statements are wrong, or something else is missing."
-        )
-    elif findings.refuted and findings.claim is not None:
-        part = 100 * min(findings.part_left, 1.0)
-        out.append(
-            f"{' + '.join(findings.claim.best)} is the nearest name and is not said: of what shows that something is "
-            f"missing it leaves {part:.0f} %, which nothing explains, so that it may stand for something else."
+            f"{' + '.join(findings.claim.best)} leaves {part:.0f} % of what it removes, which has no place either: "
+            "it may stand for something else."
         )
     elif findings.claim is not None and not findings.stands:
         of = findings.free[0].attachment
+        how = "" if findings.outdone is None else f", and settings left out, by {findings.outdone:.1f} sigma"
         out.append(
-            f"{' + '.join(findings.claim.best)} is the nearest name, but an unknown function of {of.coordinate} "
-            f"({of.element}) explains the data better, by {-findings.margin:.1f} in ln Z."
+            f"An unknown function of {of.coordinate} ({of.element}) explains the data better than "
+            f"{' + '.join(findings.claim.best)}, by {-findings.margin:.1f} in ln Z{how}."
         )
-    if said == "nothing-missing":
-        suspect = _suspect(naming)
-        if suspect is not None:
-            out.append(f"{suspect[0]} is suspected, at a probability of {suspect[1]:.2f}.")
-    if said in ("unexplained", "located") and not (findings.left if findings.stands else findings.left_null).acceptable:
-        left = findings.left if findings.stands else findings.left_null
-        out.append(f"Smooth misfit that chance would leave with a probability of {left.p:.1e}.")
     return out

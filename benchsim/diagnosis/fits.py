@@ -64,6 +64,8 @@ class Fit:
         False: nothing may be claimed from it.
     linear : Linear
         About ``values``: nuisances and its own amplitudes.
+    log_scales : (m,)
+        ln Z at every setting scale of the grid; ``log_evidence`` is of their sum.
     """
 
     effects: Effects
@@ -75,6 +77,7 @@ class Fit:
     chi2: float
     converged: bool
     linear: Linear
+    log_scales: Array
 
 
 @dataclass(frozen=True)
@@ -86,8 +89,9 @@ class Naming:
     null : Fit
     fits : tuple of Fit
         Everything refitted, the null included, most probable first; unconverged ones last.
-    screened : tuple of (Effects, float)
-        Every single and pair with its linear ln Z (on the scale of ``Fit.log_evidence``), most probable first.
+    screened : tuple of (Effects, float, Effects)
+        Every single and pair, and what grew from them, with ln Z (on the scale of ``Fit.log_evidence``) and the effects
+        of the fit about which it was weighed, most probable first.
     probability : mapping of str to float
         Of each effect of the catalogue to be present.
     linear : Linear
@@ -99,7 +103,7 @@ class Naming:
 
     null: Fit
     fits: tuple[Fit, ...]
-    screened: tuple[tuple[Effects, float], ...]
+    screened: tuple[tuple[Effects, float, Effects], ...]
     probability: Mapping[str, float]
     linear: Linear
     noise: Noise

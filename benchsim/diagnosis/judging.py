@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis import attachments, classes, evidence, location, remainder, verdict
+from benchsim.diagnosis import (
+    attachments,
+    classes,
+    evidence,
+    held_out,
+    location,
+    predictive,
+    remainder,
+    settings,
+    verdict,
+)
 from benchsim.diagnosis.attachments import Attached
 from benchsim.diagnosis.classes import Claim, Space, Weighed
 from benchsim.diagnosis.fits import Effects, Fit, Naming
-from benchsim.diagnosis.linear import Linear, linearise, marginal, predict_all, whiten
+from benchsim.diagnosis.held_out import Fold
+from benchsim.diagnosis.linear import Linear, factors, linearise, marginal, nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.location import Explanation
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Found, Location
 from benchsim.diagnosis.shapes import widened
-from benchsim.diagnosis.verdict import Findings
+from benchsim.diagnosis.verdict import Findings, Further
 
 Array = NDArray[np.float64]
 
@@ -34,29 +44,37 @@ LITTLE = 0.05
 
 @dataclass(frozen=True)
 class Best:
-    """The hypothesis that the catalogue stands by: its fit, its claim, and the space about it."""
+    """The hypothesis that the catalogue stands by: its fit, its claim, and the space about it.
+
+    ``effects`` are the fit's, with `settings.NAME` where its settings are further off than stated.
+    """
 
     fit: Fit
+    effects: Effects
     claim: Claim | None
     hypotheses: Weighed
     linear: Linear
     space: Space
+    signal: Array
 
 
 @dataclass(frozen=True)
 class Judged:
     """What is said, before it is tested on settings left out.
 
-    ``on`` is the hypothesis that stands, the null where no name does; ``best`` is the catalogue's in either case.
+    ``on`` is the hypothesis that is stated, the null where no name is; ``best`` is the catalogue's in either case.
+    ``folds`` are those of `held_out` about ``best``; ``classes`` what is left open.
     """
 
     verdict: str
     found: tuple[Found, ...]
+    classes: tuple[tuple[Effects, ...], ...]
     place: Location | None
     on: Fit
     best: Best
     findings: Findings
     prepared: tuple[attachments.Prepared, ...]
+    folds: tuple[Fold, ...]
     notes: tuple[str, ...]
 
 
@@ -66,119 +84,175 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     best = _best(problem, naming, notes)
     prepared = attachments.prepare(problem, naming.noise.covariance)
     free = _weigh(problem, naming, prepared, naming.null, best.fit)
-    more = free if best.claim is None else _weigh(problem, naming, prepared, best.fit, best.fit)
+    more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
     modes = remainder.modes(problem, naming.linear, naming.noise.covariance)
+    many = held_out.folds(problem, naming, classes.about(naming.linear, best.fit))
+    left_null = _left(problem, naming, naming.null, modes)
+    left = _left(problem, naming, best.fit, modes) if best.fit.effects else left_null
     findings = Findings(
         naming.null.log_evidence,
         best.claim,
         best.fit.log_evidence,
         free,
         more,
-        _left(problem, naming, naming.null, modes),
-        _left(problem, naming, best.fit, modes),
-        best.claim is None or not more or _with(problem, naming, more[0], modes)[1].acceptable,
-        best.fit.setting_scale if problem.stated else 1.0,
+        left_null,
+        left,
+        _further(problem, naming, best, more, left_null, left),
+        not best.fit.effects or not more or _with(problem, naming, more[0], modes)[1].acceptable,
     )
-    if findings.stands and more and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING:
+    if best.fit.effects and many:
+        findings = _predicted(problem, many, findings, best)
+    if findings.stands and findings.something_left and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING:
         best = _beside(problem, naming, best, more[0])
         findings = replace(findings, claim=best.claim)
-    on = best.fit if findings.stands else naming.null
-    missing = findings.claim is not None or findings.something_left
-    place = _place(problem, naming, best, findings, modes, on) if missing else None
+    place = None
+    if findings.claim is not None or findings.something_left:
+        place = _place(problem, naming, best, findings, modes)
+    claimed = place is not None and place.claimed
+    if findings.stands and not claimed and any(f.matters and f.part > verdict.LEFT for f in findings.further):
+        findings = replace(findings, refuted=True)
     said = verdict.verdict(findings, place)
-    if findings.stands and said == "unexplained" and findings.part_left > verdict.LEFT:
-        findings, on = replace(findings, refuted=True), naming.null
-        place = _place(problem, naming, best, findings, modes, on)
-        said = verdict.verdict(findings, place)
-    lone = findings.claim.lone if findings.claim is not None and findings.stands else ()
-    stated = widened(problem, naming.noise.covariance, best.fit, lone)
-    found, more_notes = verdict.found(problem, findings, stated, best.hypotheses)
-    return Judged(said, found, place, on, best, findings, prepared, (*notes, *more_notes))
+    on = naming.null
+    lone: tuple[str, ...] = ()
+    opened: tuple[tuple[Effects, ...], ...] = ()
+    if findings.claim is not None and (findings.stands or findings.written):
+        on, lone, opened = _written(problem, naming, best, findings, many, notes)
+        said = "class" if said == "named" and opened else said
+    elif said == "nothing-missing":
+        opened = _doubted(problem, naming, best.hypotheses)
+        said = "class" if opened else said
+    stated = widened(problem, naming.noise.covariance, on, [e for e in lone if e != settings.NAME])
+    scale = settings.size(naming.setting_scales, on.log_scales)
+    found, more_notes = verdict.found(problem, findings, stated, best.hypotheses, lone, scale)
+    return Judged(said, found, opened, place, on, best, findings, prepared, many, (*notes, *more_notes))
+
+
+def _written(
+    problem: Problem,
+    naming: Naming,
+    best: Best,
+    findings: Findings,
+    many: tuple[Fold, ...],
+    notes: list[str],
+) -> tuple[Fit, tuple[str, ...], tuple[tuple[Effects, ...], ...]]:
+    """The model that is stated, its effects without rivals, and what is open beside them.
+
+    What is certain by the rules stays; of the rest, what settings left out are predicted as well without is not
+    stated. Where nobody stated the errors (a mount's records are judged by their own scatter) prediction judges all.
+    """
+    assert findings.claim is not None
+    lone, opened, effects = findings.claim.lone, findings.claim.classes, best.fit.effects
+    sure = {
+        e
+        for e in lone
+        if verdict.confidence(best.hypotheses.probability([(e,)]), findings) in verdict.CERTAIN and problem.stated
+    }
+    fits = {f.effects: f for f in naming.fits if f.converged} | {(): naming.null}
+    kept = predictive.simplest(problem, many, effects, tuple(e for e in effects if e in sure))
+    if kept == effects or kept not in fits:
+        return best.fit, lone, opened
+    gone = [e for e in effects if e not in kept]
+    notes.append(
+        f"Left-out {'settings' if problem.stated else 'records'} are predicted as well without {', '.join(gone)}."
+    )
+    still = tuple(g for g in opened if set(g[0]) <= {*kept, settings.NAME})
+    if not kept:
+        still = (((), *(h for h in [best.effects])),)
+    return fits[kept], tuple(e for e in lone if e in kept or e == settings.NAME), still
+
+
+def _predicted(problem: Problem, many: tuple[Fold, ...], findings: Findings, best: Best) -> Findings:
+    """By how much the claim predicts left-out settings better than what is stated, and the best function than it."""
+    as_stated, with_names = predictive.stated(many), predictive.named(problem, many, best.fit.effects)
+    won, sigma = predictive.gain(many, as_stated, with_names)
+    outdone = None
+    if findings.free and findings.margin < verdict.PROBABLE_MARGIN:
+        alone = predictive.function(problem, many, findings.free[0])
+        lost, spread = predictive.gain(many, with_names, alone)
+        outdone = lost / max(spread, 1e-12)
+    return replace(findings, predicted=won / max(sigma, 1e-12), outdone=outdone)
+
+
+def _further(
+    problem: Problem,
+    naming: Naming,
+    best: Best,
+    more: tuple[Attached, ...],
+    left_null: remainder.Remainder,
+    left: remainder.Remainder,
+) -> tuple[Further, ...]:
+    """What the best function, and what the smooth modes, add to the best hypothesis: how sure, and how large."""
+    noise = np.sqrt(np.concatenate([np.diag(c) for c in naming.noise.covariance]))
+    usual = {str(k): float(np.median(noise[problem.kind == k])) for k in np.unique(problem.kind)}
+    own = bool(best.fit.effects)
+    out = []
+    if more:
+        white, _ = whiten(problem, naming.noise.covariance, more[0].attachment.basis)
+        base = attachments.absorb(problem, more[0].linear)
+        shift = white @ more[0].coefficients
+        pull, _ = nuisance_posterior(base, shift, more[0].scale)
+        seen = shift - base.nuisance @ pull
+        raw = np.concatenate([low @ seen[problem.rows(b)] for b, low in enumerate(factors(naming.noise.covariance))])
+        removed = _removed(best)
+        part = float(shift @ seen) / max(removed, 1e-300) if own else np.inf
+        loud = any(np.sqrt(np.mean(raw[problem.kind == k] ** 2)) > s for k, s in usual.items())
+        out.append(Further(more[0].log_evidence - best.fit.log_evidence, part, loud))
+    shown = {n: left.families[n].rms for n in left.alarming}
+    loud = any(rms > usual[n] for n, rms in shown.items() if n in usual)
+    out.append(Further(left.odds, left.part_of(left_null) if own else np.inf, loud))
+    return tuple(out)
+
+
+def _removed(best: Best) -> float:
+    """χ² that the names' part of the prediction is worth, beside settings."""
+    own = best.space.places(best.fit.effects)
+    size = best.signal[own]
+    return float(size @ best.space.gram[np.ix_(own, own)] @ size)
+
+
+def _doubted(problem: Problem, naming: Naming, hypotheses: Weighed) -> tuple[tuple[Effects, ...], ...]:
+    """Alternatives to nothing, where nothing is best but may not be said: settings, or an effect that is suspected."""
+    suspects: list[Effects] = []
+    name, p = max(naming.probability.items(), key=lambda item: item[1], default=("", 0.0))
+    if p >= verdict.SUSPECTED and name != settings.NAME:
+        suspects.append((name,))
+    if problem.stated and hypotheses.probability([(settings.NAME,)]) >= verdict.UNSURE:
+        suspects.append((settings.NAME,))
+    z = hypotheses.log_evidence
+    listed = sorted([(), *suspects], key=lambda h: -z.get(h, -np.inf))
+    return (tuple(listed),) if suspects else ()
 
 
 def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
     """The most probable converged hypothesis, without the effects that are not likely."""
-    hypotheses = classes.weighed(naming)
-    null = Best(
-        naming.null,
-        None,
-        hypotheses,
-        naming.linear,
-        classes.space(problem, naming.linear, naming.null.setting_scale),
-    )
-    fits = {f.effects: f for f in naming.fits if f.converged and f.effects}
-    if not fits:
-        return null
-    fit = max(fits.values(), key=lambda f: f.log_evidence)
-    plain = _unstretched(problem, fit, fits.values())
-    if plain is not None:
-        return _or_settings(problem, naming, plain, fit, notes)
-    while fit.effects:
-        linear, within, signal, hypotheses = _about(problem, naming, fit)
-        kept = classes.likely(hypotheses, fit.effects, signal, within)
-        if kept == fit.effects:
-            claim = classes.claim(hypotheses, fit.effects, signal, within)
-            return Best(fit, claim, hypotheses, linear, within)
-        if kept in fits and _unstretched(problem, fits[kept], [fit]) is not None:
-            return _or_settings(problem, naming, fit, fits[kept], notes)
-        dropped = [e for e in fit.effects if e not in kept]
-        if not kept:
-            break
-        notes.append(f"{' and '.join(dropped)}: hinted at, not likely enough to be said.")
-        if kept not in fits:
-            # The smaller set was never refitted: nothing may be claimed from it, the larger one keeps its place.
-            claim = classes.claim(hypotheses, fit.effects, signal, within)
-            return Best(fit, claim, hypotheses, linear, within)
-        fit = fits[kept]
+    hypotheses = classes.weighed(naming, problem.stated)
+    z = hypotheses.log_evidence
+    fits = {f.effects: f for f in naming.fits if f.converged and f.effects} | {(): naming.null}
+    within = classes.space(problem, naming.linear, naming.null.setting_scale)
+    nothing = np.zeros(len(naming.linear.names))
+    null = Best(naming.null, (), None, hypotheses, naming.linear, within, nothing)
+    effects = max((h for h in z if h and _of(h) in fits), key=lambda h: z[h], default=())
+    while effects:
+        fit = fits[_of(effects)]
+        linear = classes.about(naming.linear, fit)
+        within = classes.space(problem, linear, fit.setting_scale)
+        signal = classes.amplitude_vector(problem, naming.linear.names, fit)
+        hypotheses = classes.complete(classes.weighed(naming, problem.stated), effects, within)
+        kept = classes.likely(hypotheses, effects, signal, within)
+        if kept and (kept == effects or _of(kept) not in fits):
+            # What was never refitted supports no claim: the larger set keeps its place.
+            claim = classes.claim(hypotheses, effects, signal, within)
+            return Best(fit, effects, claim, hypotheses, linear, within, signal)
+        dropped = [e for e in effects if e not in kept]
+        if kept:
+            notes.append(f"{' and '.join(dropped)}: hinted at, not likely enough to be said.")
+        effects = kept
     return null
 
 
-def _about(problem: Problem, naming: Naming, fit: Fit) -> tuple[Linear, Space, Array, Weighed]:
-    """What claims about a fit are judged in: the catalogue linearised there, its space, the fit's amplitudes in it, and
-    all hypotheses, those that differ from it by one effect put in."""
-    linear = classes.about(naming.linear, fit)
-    within = classes.space(problem, linear, fit.setting_scale)
-    signal = classes.amplitude_vector(problem, naming.linear.names, fit)
-    return linear, within, signal, classes.complete(classes.weighed(naming), fit.effects, within)
-
-
-def _stretched(problem: Problem, fit: Fit) -> bool:
-    return problem.stated and fit.setting_scale >= verdict.STRETCHED
-
-
-def _unstretched(problem: Problem, fit: Fit, others: Iterable[Fit]) -> Fit | None:
-    """Where a fit needs settings further off than names are said on: the best that holds its effects and one more,
-    with settings as stated, if it is about as probable."""
-    if not fit.effects or not _stretched(problem, fit):
-        return None
-    found = [
-        f
-        for f in others
-        if set(f.effects) > set(fit.effects)
-        and len(f.effects) == len(fit.effects) + 1
-        and not _stretched(problem, f)
-        and f.log_evidence > fit.log_evidence - np.log(classes.LIKELY / (1 - classes.LIKELY))
-    ]
-    return max(found, key=lambda f: f.log_evidence, default=None)
-
-
-def _or_settings(problem: Problem, naming: Naming, fit: Fit, stretched: Fit, notes: list[str]) -> Best:
-    """A claim that leaves open whether its last effect is there, or settings are further off than stated instead."""
-    (more,) = set(fit.effects) - set(stretched.effects)
-    linear, within, signal, hypotheses = _about(problem, naming, fit)
-    # What lacks the effect stands beside the same with it: that the settings may do its part is said once.
-    known = {frozenset(h) for h in hypotheses.log_evidence}
-    kept = {h: z for h, z in hypotheses.log_evidence.items() if more in h or frozenset((*h, more)) not in known}
-    claim = classes.claim(replace(hypotheses, log_evidence=kept), fit.effects, signal, within)
-    first = stretched.log_evidence > fit.log_evidence
-    if more in claim.lone:
-        pair: tuple[Effects, ...] = ((), (more,)) if first else ((more,), ())
-        claim = replace(claim, lone=tuple(e for e in claim.lone if e != more), classes=(*claim.classes, pair))
-    notes.append(
-        f"Settings {stretched.setting_scale:.1f} times as far off as stated would do in place of {more}: if they may "
-        "be so far off, state it and diagnose again."
-    )
-    return Best(fit, claim, hypotheses, linear, within)
+def _of(effects: Effects) -> Effects:
+    """The effects of a hypothesis' fit: setting errors have none of their own."""
+    return tuple(e for e in effects if e != settings.NAME)
 
 
 def _beside(problem: Problem, naming: Naming, best: Best, laid: Attached) -> Best:
@@ -187,7 +261,7 @@ def _beside(problem: Problem, naming: Naming, best: Best, laid: Attached) -> Bes
     linear = attachments.with_columns(best.linear, white @ laid.root)
     within = classes.space(problem, linear, best.fit.setting_scale)
     signal = classes.amplitude_vector(problem, naming.linear.names, best.fit)
-    claim = classes.claim(best.hypotheses, best.fit.effects, signal, within)
+    claim = classes.claim(best.hypotheses, best.effects, signal, within)
     return replace(best, claim=claim, linear=linear, space=within)
 
 
@@ -229,7 +303,9 @@ def _weigh(
 
 def _left(problem: Problem, naming: Naming, fit: Fit, modes: remainder.Modes) -> remainder.Remainder:
     free = naming.noise.freedom
-    return remainder.remainder(attachments.absorb(problem, fit.linear), modes, fit.setting_scale, free)
+    lower = tuple(factors(naming.noise.covariance))
+    base = attachments.absorb(problem, fit.linear)
+    return remainder.remainder(base, modes, fit.setting_scale, free, lower, problem.kind)
 
 
 def _with(
@@ -241,11 +317,9 @@ def _with(
     return with_it, remainder.remainder(with_it, modes, laid.scale, naming.noise.freedom)
 
 
-def _place(
-    problem: Problem, naming: Naming, best: Best, findings: Findings, modes: remainder.Modes, on: Fit
-) -> Location | None:
+def _place(problem: Problem, naming: Naming, best: Best, findings: Findings, modes: remainder.Modes) -> Location | None:
     """The element: of what is left if names stand and something is left, else of the whole misfit."""
-    covariance = naming.noise.covariance
+    covariance, on = naming.noise.covariance, best.fit if findings.stands else naming.null
     rest = findings.stands and findings.something_left
     base = on if rest else naming.null
     ground = attachments.absorb(problem, base.linear)
@@ -261,13 +335,12 @@ def _place(
         element = {e.name: e.element for e in problem.catalogue}
         fits = {f.effects: f for f in naming.fits if f.converged}
         for effects, value in best.hypotheses.log_evidence.items():
-            of = {element[e] for e in effects}
+            of = {element.get(e, settings.EFFECT.element) for e in effects}
             if len(of) != 1:
                 continue
             only = of.pop()
-            fit = fits.get(effects)
-            # What is not said as a name for the settings that it needs does not say where either.
-            nothing = fit is not None and not _stretched(problem, fit) and _left(problem, naming, fit, modes).acceptable
+            fit = fits.get(_of(effects))
+            nothing = fit is not None and _left(problem, naming, fit, modes).acceptable
             explanations.append(Explanation(only, coordinate.get(only, ""), value, 0.0 if nothing else np.inf))
     elements = {e.element: None for e in problem.catalogue if e.name in on.effects}
     if findings.stands and not rest and len(elements) > 1:

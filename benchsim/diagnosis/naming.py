@@ -168,8 +168,10 @@ def _naming(
     z = np.array([table.log_z[e] for e in listed])
     share = np.exp(z - logsumexp(z))
     probability = {n: float(sum(s for e, s in zip(listed, share, strict=True) if n in e)) for n in catalogue.effects}
+    if problem.stated:
+        probability[settings.NAME] = _stretched(context, null, table, done)
     fits: list[Fit] = sorted((s.fit for s in done.values()), key=lambda f: (not f.converged, -f.log_evidence))
-    screened = sorted(((e, v) for e, v in table.log_z.items() if e), key=lambda item: -item[1])
+    screened = sorted(((e, v, table.source[e]) for e, v in table.log_z.items() if e), key=lambda item: -item[1])
     scales, weights = settings.grid()
     return Naming(
         null.fit,
@@ -181,3 +183,14 @@ def _naming(
         scales,
         weights,
     )
+
+
+def _stretched(context: Context, null: Solved, table: Table, done: Mapping[Effects, Solved]) -> float:
+    """P(the settings are further off than `settings.BEYOND` times what is stated)."""
+    z, far = [], []
+    for effects, value in table.log_z.items():
+        fit = (done[effects] if effects in done else done.get(table.source[effects], null)).fit
+        near, beyond = settings.parted(context.scales, fit.log_scales)
+        z.append(value)
+        far.append(value + beyond - np.logaddexp(near, beyond))
+    return float(np.exp(logsumexp(far) - logsumexp(z)))

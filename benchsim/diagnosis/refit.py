@@ -342,6 +342,7 @@ def _solved(
         float(white @ white),
         converged,
         lin,
+        np.asarray(logsumexp(cells, axis=1)) + log_prior,
     )
     return Solved(done, point, known, own, state.residual)
 

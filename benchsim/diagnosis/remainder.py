@@ -28,33 +28,78 @@ ALARM = 0.01
 """Rate of false alarms of `remainder` at which something is said to be left."""
 
 MODES = 12
+"""Of a family that are looked at by themselves; all together are looked at besides, for what is not so smooth."""
+
+TOUCHED = 9.0
+"""Fall of a family's χ² from which on names are taken to touch it: 3 sigma."""
 
 _HIDDEN = 1e-6
 
 
 @dataclass(frozen=True)
-class Remainder:
-    """What the smooth modes and the shared pulls say.
+class Family:
+    """What one family of modes shows.
 
-    ``p`` is the probability of as much by chance, corrected for the number of families; ``families`` holds χ² and the
-    number of modes of each: one per kind of datum, and ``pulls``.
+    Attributes
+    ----------
+    statistic : float
+        χ² of its most visible modes.
+    rank : int
+        Their number.
+    p : float
+        Probability of as much by chance, in these or in all of its modes; the number of families not counted.
+    rms : float
+        Of what they show in the data, less what chance would, in the data's unit; nan for pulls.
     """
 
+    statistic: float
+    rank: int
     p: float
-    families: dict[str, tuple[float, int]]
+    rms: float
+
+    @property
+    def excess(self) -> float:
+        return self.statistic - self.rank
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What the smooth modes and the shared pulls say, by family: one per kind of datum, and ``pulls``."""
+
+    families: Mapping[str, Family]
+
+    def chance(self, name: str) -> float:
+        """p of a family, corrected for the number of families."""
+        return min(1.0, self.families[name].p * len(self.families))
+
+    @property
+    def p(self) -> float:
+        return min((self.chance(n) for n in self.families), default=1.0)
 
     @property
     def acceptable(self) -> bool:
         return self.p >= ALARM
 
+    @property
+    def alarming(self) -> tuple[str, ...]:
+        """Families that show something."""
+        return tuple(n for n in self.families if self.chance(n) < ALARM)
+
+    @property
+    def odds(self) -> float:
+        """Most that p can be worth in ln of odds, −ln(−e p ln p) (Sellke, Bayarri & Berger 2001,
+        https://doi.org/10.1198/000313001300339950): p = 0.01 is at most 8 to 1."""
+        p = max(self.p, 1e-300)
+        return float(-np.log(-np.e * p * np.log(p))) if p < 1 / np.e else 0.0
+
     def part_of(self, before: Remainder) -> float:
-        """Of the family that shows the most: its excess χ² as a part of what that family showed before."""
-        excess = {name: statistic - rank for name, (statistic, rank) in self.families.items()}
-        worst = max(excess, key=lambda name: excess[name], default="")
-        if not worst or excess[worst] <= 0:
-            return 0.0
-        statistic, rank = before.families.get(worst, (0.0, 0))
-        return excess[worst] / max(statistic - rank, 1e-300)
+        """Largest part of what a hypothesis took from a family that it touches, which that family still shows."""
+        parts = [0.0]
+        for name in self.alarming:
+            removed = before.families[name].statistic - self.families[name].statistic
+            if removed > TOUCHED:
+                parts.append(max(self.families[name].excess, 0.0) / removed)
+        return max(parts)
 
 
 @dataclass(frozen=True)
@@ -104,7 +149,14 @@ def _levelled(linear: Linear, part: Array) -> list[Array]:
     return [part / np.sqrt(visible)] if visible > _HIDDEN * float((part**2).sum()) else []
 
 
-def remainder(linear: Linear, families: Modes, scale: float, freedom: Mapping[str, float] | None = None) -> Remainder:
+def remainder(
+    linear: Linear,
+    families: Modes,
+    scale: float,
+    freedom: Mapping[str, float] | None = None,
+    lower: tuple[Array, ...] = (),
+    kind: NDArray[np.str_] | None = None,
+) -> Remainder:
     """What is left under a hypothesis.
 
     Parameters
@@ -117,17 +169,29 @@ def remainder(linear: Linear, families: Modes, scale: float, freedom: Mapping[st
     freedom : mapping of str to float, optional
         By kind: numbers from which its noise was estimated (`fits.Noise`), so that χ² over its rank is F; default
         known.
+    lower : tuple of (n_b, n_b), optional
+        Cholesky factors of the blocks' covariance, and the kind of every datum: without them ``rms`` is nan.
     """
     found = {}
-    worst = 1.0
     for name, columns in families.families.items():
         m = marginal(linear, columns, scale)
         values, vectors = np.linalg.eigh(m.gram)
-        keep = (values > 1e-9 * values[-1]) & (np.arange(len(values)) >= len(values) - MODES)
-        y = vectors[:, keep].T @ m.projection
-        statistic, rank = float((y**2 / values[keep]).sum()), int(keep.sum())
-        found[name] = (statistic, rank)
+        keep = values > 1e-8 * values[-1]
+        values, vectors = values[keep][::-1], vectors[:, keep][:, ::-1]
+        y = vectors.T @ m.projection
         known = (freedom or {}).get(name, np.inf)
-        chance = chi2.sf(statistic, rank) if np.isinf(known) else f.sf(statistic / max(rank, 1), rank, known)
-        worst = min(worst, float(chance))
-    return Remainder(min(1.0, worst * max(1, len(found))), found)
+        # The most visible modes, and all: what is rough spreads over many of them.
+        sums = [(float((y[:k] ** 2 / values[:k]).sum()), k) for k in sorted({min(MODES, len(y)), len(y)})]
+        chances = [
+            chi2.sf(total, k) if np.isinf(known) else f.sf(total / max(k, 1), max(k, 1), known) for total, k in sums
+        ]
+        statistic, rank = sums[0]
+        rms = float("nan")
+        if lower and kind is not None and (kind == name).any() and statistic > rank:
+            best = int(np.argmin(chances))
+            total, k = sums[best]
+            shown = columns @ (vectors[:, :k] @ (y[:k] / values[:k]))
+            raw = np.concatenate([low @ shown[linear.block == b] for b, low in enumerate(lower)])
+            rms = float(np.sqrt(np.mean(raw[kind == name] ** 2) * max(0.0, 1 - k / total)))
+        found[name] = Family(statistic, rank, float(min(1.0, len(sums) * min(chances))), rms)
+    return Remainder(found)

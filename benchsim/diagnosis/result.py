@@ -14,9 +14,8 @@ Array = NDArray[np.float64]
 VERDICTS = ("nothing-missing", "named", "class", "located", "unexplained")
 """What is left open: nothing at all was found; all is named; only alternatives; an element; not even that."""
 
-
-CLAIMED = 0.9
-"""Probability from which a class is claimed where the verdict is not "class"."""
+CONFIDENCES = ("named", "probable", "provisional")
+"""How sure a name is: by the rules; likely; in the model that predicts best, though its name is not certain."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Found:
-    """An effect that is there. ``confidence`` is "named" or "probable"."""
+    """An effect that was found. ``confidence``: one of `CONFIDENCES`."""
 
     name: str
     element: str
@@ -104,6 +103,28 @@ class Law:
 
 
 @dataclass(frozen=True)
+class Left:
+    """What is left of a family of data beside everything that was found, though it does not change the verdict.
+
+    Attributes
+    ----------
+    family : str
+        Kind of datum, or ``pulls``.
+    p : float
+        Probability of as much by chance.
+    rms : float
+        Of it, in the data's unit; nan for pulls.
+    rms_mm : float
+        The same in millimetres where it is a length, else nan; the instrument puts it in.
+    """
+
+    family: str
+    p: float
+    rms: float
+    rms_mm: float = float("nan")
+
+
+@dataclass(frozen=True)
 class HeldOut:
     """Excess χ² of left-out settings before and after, summed over folds."""
 
@@ -172,6 +193,7 @@ class Diagnosis:
     values: Mapping[str, float]
     residuals: Residuals
     notes: tuple[str, ...] = field(default=())
+    left: tuple[Left, ...] = field(default=())
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``diagnosis.json``."""
@@ -256,6 +278,9 @@ class Diagnosis:
                 for k, v in self.limits.items()
             },
             "next": [split(s) for s in self.next],
+            "left": [
+                {"family": x.family, "p": plain(x.p), "rms": plain(x.rms), "rms_mm": plain(x.rms_mm)} for x in self.left
+            ],
             "noise": {
                 "sigma_scale": plain(self.sigma_scale),
                 "correlation_mm": plain(self.correlation),
@@ -267,6 +292,5 @@ class Diagnosis:
 
 
 def chosen(d: Diagnosis) -> tuple[str, ...]:
-    """Effects of the most probable member of every class that is claimed."""
-    claimed = [c for c in d.classes if c.members and (d.verdict == "class" or c.probability >= CLAIMED)]
-    return tuple(dict.fromkeys(name for c in claimed for name in c.members[0]))
+    """Effects of the most probable member of every class: one of its alternatives, not a decision."""
+    return tuple(dict.fromkeys(name for c in d.classes if c.members for name in c.members[0]))

@@ -1,7 +1,8 @@
 """The rules: what may be claimed of what was weighed, and in which words.
 
 All margins are differences of ln Z. An effect is *named* at P ≥ 0.99, 3 above the best attachment and 3 sigma from
-every rival; *probable* at P ≥ 0.9 with a margin of at least 0. The verdict speaks of what is left.
+every rival; *probable* at P ≥ 0.9 with a margin of at least 0; *provisional* where it is in the model that predicts
+best, though its name is not certain. The verdict speaks of what is left beside them, and takes nothing back.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchsim.diagnosis import settings
 from benchsim.diagnosis.attachments import Attached
 from benchsim.diagnosis.classes import LIKELY, SURE, Claim, Weighed
 from benchsim.diagnosis.fits import Fit
+from benchsim.diagnosis.predictive import BETTER
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.remainder import Remainder
 from benchsim.diagnosis.result import Found, Location, Size
@@ -27,18 +30,44 @@ NEEDED = 0.5
 """Part of what a name gains by itself that it has to add to a function that gains more: what adds less explains what
 the function explains, only worse."""
 
-STRETCHED = 1.5
-"""Scale of the setting errors from which on no name is said: they may stand for one more thing that is missing, or for
-a part of one that the catalogue lacks and the name resembles (canting of 17 sigma, taken out of the catalogue, was
-beam-direction with settings 1.7 to 2.1 times as far off as stated)."""
+CERTAIN = ("named", "probable")
 
 LEFT = 0.05
-"""Part of what shows that something is missing that a name may leave where nothing explains the rest. Of ten cases of
-the study in which names left more than chance does, and no place for it, seven named wrongly; a name that stands for
-nearly all may be right beside a model that is not perfect."""
+"""Part of what the names removed that may be left without changing the verdict: a name that stands for nearly all may
+be right beside a model that is not perfect. Of ten cases of the study in which names left more, seven named wrongly."""
 
 MISSING = float(np.log(SURE / (1 - SURE)))
-"""Δ ln Z at which a function without a name shows that something is missing."""
+"""Δ ln Z at which something shows that something is missing."""
+
+UNSURE = 0.05
+"""Probability of setting errors from which on nothing is said to be missing."""
+
+SUSPECTED = 0.5
+"""Probability of an effect that is not claimed from which on it is an open alternative to nothing."""
+
+
+@dataclass(frozen=True)
+class Further:
+    """What could still be added to what was found, and how much it is.
+
+    Attributes
+    ----------
+    gain : float
+        In ln Z.
+    part : float
+        Of what the names removed; infinite where there are none.
+    loud : bool
+        It is larger than the noise of a single datum, rms over some kind of datum.
+    """
+
+    gain: float
+    part: float
+    loud: bool
+
+    @property
+    def matters(self) -> bool:
+        """Whether it changes the verdict: significance alone does not."""
+        return self.gain > MISSING and (self.part > LEFT or self.loud)
 
 
 @dataclass(frozen=True)
@@ -58,13 +87,17 @@ class Findings:
         Laid on the claim's best hypothesis; ``free`` where there is none.
     left_null, left : Remainder
         What the smooth modes leave under the null, and under the best hypothesis.
+    further : tuple of Further
+        What a function, and what the smooth modes, could add to the best hypothesis.
     together : bool
         Whether the best hypothesis with the best function on it leaves nothing. A name that is only a patch on a
         function which does not fit is not one.
-    scale : float
-        Of the setting errors, under the best hypothesis.
+    predicted, outdone : float or None
+        Sigma by which the claim predicts left-out settings better than the simulation as stated, and by which the best
+        function does better than the claim; None where there are too few settings to leave one out.
     refuted : bool
-        Whether the names leave more than `LEFT` and nothing explains it.
+        Whether the names leave a part that they should have explained, and no element to which it can be put down, so
+        that they may stand for something else.
     """
 
     null_log_evidence: float
@@ -74,8 +107,10 @@ class Findings:
     more: tuple[Attached, ...]
     left_null: Remainder
     left: Remainder
+    further: tuple[Further, ...] = ()
     together: bool = True
-    scale: float = 1.0
+    predicted: float | None = None
+    outdone: float | None = None
     refuted: bool = False
 
     @property
@@ -93,70 +128,75 @@ class Findings:
 
     @property
     def stands(self) -> bool:
-        """The names are at least as probable as the best attachment, the settings about where they were set, and what
-        is left does not speak against the names."""
-        return self.claim is not None and self.margin >= PROBABLE_MARGIN and self.scale < STRETCHED and not self.refuted
+        """The names explain the data at least as well as the best function: by ln Z, or on settings left out, where a
+        function has to do better by more than chance."""
+        if self.claim is None:
+            return False
+        doubted = self.outdone is None or self.outdone >= BETTER
+        return self.margin >= PROBABLE_MARGIN or not doubted
 
     @property
-    def part_left(self) -> float:
-        """Largest part of what shows that something is missing that the names leave: of what the smooth modes show if
-        they still do, of ln Z if a function on the names gains."""
-        modes = 0.0 if self.left.acceptable else self.left.part_of(self.left_null)
-        gain = self.more[0].log_evidence - self.log_evidence if self.more else 0.0
-        return max(modes, gain / max(self.log_evidence - self.null_log_evidence, 1e-300) if gain > MISSING else 0.0)
+    def written(self) -> bool:
+        """The claim goes into the amended file though it may not be certain: it predicts better than what is stated."""
+        return self.claim is not None and self.predicted is not None and self.predicted >= BETTER
 
     @property
     def something_left(self) -> bool:
-        """A function on top, or the smooth modes, say that more is missing than what is claimed."""
-        if not self.stands:
-            free = bool(self.free) and self.free[0].log_evidence - self.null_log_evidence > MISSING
-            return free or not self.left_null.acceptable
-        more = bool(self.more) and self.more[0].log_evidence - self.log_evidence > MISSING
-        return more or not self.left.acceptable
+        """More is missing than what is claimed, and it matters."""
+        return any(f.matters for f in self.further)
 
 
 def verdict(findings: Findings, location: Location | None) -> str:
     """One of `result.VERDICTS`."""
-    if findings.claim is not None and not findings.stands:
-        # An effect was likely and a function without a name is more so: something is there, under no name.
-        return "located" if location is not None and location.claimed else "unexplained"
-    if findings.something_left:
+    if findings.something_left or (findings.claim is not None and not findings.stands):
         return "located" if location is not None and location.claimed else "unexplained"
     if findings.claim is None:
         return "nothing-missing"
     return "class" if findings.claim.classes else "named"
 
 
-def confidence(probability: float, margin: float) -> str | None:
-    """ "named", "probable", or None where neither may be said; for an effect without rivals within 3 sigma."""
-    if probability >= SURE and margin >= NAMED_MARGIN:
+def confidence(probability: float, findings: Findings) -> str | None:
+    """ "named", "probable", "provisional", or None where it may not be said; of an effect without close rivals."""
+    sound = not findings.refuted
+    if sound and probability >= SURE and findings.margin >= NAMED_MARGIN:
         return "named"
-    if probability >= LIKELY and margin >= PROBABLE_MARGIN:
+    if sound and probability >= LIKELY and findings.margin >= PROBABLE_MARGIN:
         return "probable"
-    return None
+    return "provisional" if findings.written else None
 
 
 def found(
-    problem: Problem, findings: Findings, fit: Fit, hypotheses: Weighed
+    problem: Problem,
+    findings: Findings,
+    fit: Fit,
+    hypotheses: Weighed,
+    lone: tuple[str, ...],
+    scale: tuple[float, float],
 ) -> tuple[tuple[Found, ...], tuple[str, ...]]:
-    """The lone effects of the claim that may be said to be there, and a note on each that may not."""
+    """Effects that may be said to be there, and a note on each that may not.
+
+    Parameters
+    ----------
+    problem : Problem
+    findings : Findings
+    fit : Fit
+    hypotheses : Weighed
+    lone : tuple of str
+        Effects of the claim that nothing close can replace.
+    scale : (value, sigma)
+        Of the setting errors.
+    """
     out, notes = [], []
-    known = {e.name: e for e in problem.catalogue}
-    claim = findings.claim
-    if claim is not None and findings.margin >= PROBABLE_MARGIN and findings.scale >= STRETCHED:
-        names = " and ".join((*claim.lone, *(" or ".join(" with ".join(m) for m in c) for c in claim.classes)))
-        notes.append(
-            f"{names} would explain it beside settings {findings.scale:.1f} times as far off as stated, "
-            "which is not said: if they may be so far off, state it and diagnose again."
-        )
-    for name in claim.lone if claim is not None and findings.stands else ():
+    known = {e.name: e for e in (*problem.catalogue, settings.EFFECT)}
+    for name in lone:
         probability = hypotheses.probability([(name,)])
-        said = confidence(probability, findings.margin)
+        said = confidence(probability, findings)
         if said is None:
             notes.append(f"{name} is suspected, at a probability of {probability:.2f}.")
             continue
         effect = known[name]
-        out.append(Found(name, effect.element, probability, said, sizes(effect, fit), effect.says, effect.remedy))
+        size = {settings.SCALE: Size(*scale, "1")} if name == settings.NAME else sizes(effect, fit)
+        out.append(Found(name, effect.element, probability, said, size, effect.says, effect.remedy))
     return tuple(out), tuple(notes)
 
 

@@ -245,7 +245,7 @@ def diagnose_session(
         built = replace(built, remarks=(*built.remarks, remark))
         found = _withdrawn(found, built.problem)
     found = replace(found, next=found.next[:NEXT])
-    return MountDiagnosis(session, built, found, amended(session, found), folder)
+    return MountDiagnosis(session, built, found, amended(session, built, found), folder)
 
 
 def distinct(session: Session) -> Session:
@@ -280,7 +280,7 @@ def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:
     )
 
 
-def amended(session: Session, d: Diagnosis) -> dict[str, dict[str, float]]:
+def amended(session: Session, built: Built, d: Diagnosis) -> dict[str, dict[str, float]]:
     """Stated effects with what was found added; of a class its most probable member."""
     out = {n: dict(terms) for n, terms in session.effects.items()}
     claimed = {*(f.name for f in d.effects), *chosen(d)}
@@ -291,6 +291,8 @@ def amended(session: Session, d: Diagnosis) -> dict[str, dict[str, float]]:
         for p in effect.parameters:
             if p.name in d.values:
                 own[p.name] = d.values[p.name] + (own.get(p.name, 0.0) if not p.grid else 0.0)
+        if "change" in own:
+            own["change"] = mount_problem.change_of(built.session.records, d.values["change"])
     return {n: terms for n, terms in out.items() if terms}
 
 

@@ -183,16 +183,21 @@ FEWEST_FOR_CHANGE = 8
 """Records without which no change can be told from chance."""
 
 
-def candidates(mount: Mount, records: Records) -> tuple[Effect, ...]:
-    """What the simulation of this mount may lack; shapes with the values that suit the records."""
+def candidates(mount: Mount, records: Records, *, every: bool = False) -> tuple[Effect, ...]:
+    """What the simulation of this mount may lack; shapes with the values that suit the records.
+
+    With ``every`` all that may be stated of the mount, though these records say nothing of it: what other records of
+    the same mount showed.
+    """
     count = len(records.names)
+    seen = targets(mount, records) if every else records.target
     out = []
     for entry in CATALOGUE:
         if entry.axes not in ("", mount.axes) or entry.observes not in ("", mount.observes):
             continue
         if entry.name == "clock" and mount.latitude is None:
             continue
-        if entry.name == "change-point" and count < FEWEST_FOR_CHANGE:
+        if entry.name == "change-point" and count < FEWEST_FOR_CHANGE and not every:
             continue
         terms = [Parameter(t.name, unit(mount, t), _cap(mount, t) / 2) for t in entry.terms if _cap(mount, t) > 0]
         if entry.name == "change-point":
@@ -200,9 +205,10 @@ def candidates(mount: Mount, records: Records) -> tuple[Effect, ...]:
             grid = changes(count)
             terms.append(Parameter("change", "record", float(count), grid=grid))
         if entry.name == "target-position":
-            terms = [replace(t, name=f"{t.name}_{k + 1}") for k in range(len(targets(records))) for t in terms]
+            numbers = [k for k, name in enumerate(targets(mount, records)) if name in seen]
+            terms = [replace(t, name=f"{t.name}_{k + 1}") for k in numbers for t in terms]
         # Several targets hang wrong by as much as they were surveyed badly, which nobody states.
-        population = entry.name == "target-position" and len(targets(records)) > 1
+        population = entry.name == "target-position" and len(set(records.target)) > 1
         out.append(Effect(entry.name, entry.element, tuple(terms), entry.says, entry.remedy, random_field=population))
     return tuple(out)
 
@@ -212,9 +218,9 @@ def changes(count: int) -> tuple[float, ...]:
     return tuple(k + 0.5 for k in range(2, count - 3))
 
 
-def targets(records: Records) -> tuple[str, ...]:
-    """Names of the targets, in the order of the alphabet: the numbers of ``target_e_1`` and its like."""
-    return tuple(sorted(set(records.target)))
+def targets(mount: Mount, records: Records) -> tuple[str, ...]:
+    """Names of the targets, in the order of the numbers of ``target_e_1`` and its like."""
+    return mount.targets or tuple(sorted(set(records.target)))
 
 
 def unit(mount: Mount, term: Term) -> str:

@@ -1,15 +1,18 @@
 """Calibration recordings of heliostats as the PAINT data base keeps them: JSON files in a folder.
 
-``*-calibration-properties.json`` (one per recording: motor positions in steps, the sun's azimuth from south, west
+``NUMBER-calibration-properties.json`` (one per recording: motor positions in steps, the sun's azimuth from south, west
 negative, and elevation [deg], focal spots [latitude, longitude, height m]), ``heliostat-properties.json`` (position and
-kinematics; its name may begin with the heliostat's, and it may lie in a folder ``Properties`` beside), and the tower
-file with the targets, looked for in the folder and then above it.
+kinematics; its name may begin with the heliostat's), and the tower file with the targets, looked for in the folder and
+then above it. The older spelling is read, too: ``NUMBER_calibration_properties.json`` and ``ID_properties.json``.
+Recordings may lie in the folder or in its ``Calibration``; the heliostat's file in the folder, in ``Properties`` beside
+or inside it, or, for a folder of recordings, above it.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,9 +22,13 @@ import numpy as np
 from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.mount.records import Actuator, Array, Mount, Records, Session, toward
 
-CALIBRATION = "*-calibration-properties.json"
-HELIOSTAT = "heliostat-properties.json"
-PROPERTIES = "Properties"
+CALIBRATION = ("*-calibration-properties.json", "*_calibration_properties.json")
+HELIOSTAT = ("*heliostat-properties.json", "*_properties.json")
+"""Names of the files in today's and in the older spelling."""
+
+RECORDINGS, PROPERTIES = ("Calibration", "calibration"), ("Properties", "properties")
+"""Folders in which they may lie."""
+
 TOWER = ("tower-measurements.json", "*tower*.json")
 
 METHODS = ("UTIS", "HeliOS")
@@ -49,8 +56,28 @@ DECLINATION_DEG = 32.0
 def recognises(path: Path) -> bool:
     """Whether a path is of this data base: a folder of recordings or above one, or a file of such a folder."""
     if path.is_dir():
-        return any(p for pattern in (CALIBRATION, f"*/{CALIBRATION}", f"*{HELIOSTAT}") for p in path.glob(pattern))
-    return path.match(CALIBRATION) or path.match(f"*{HELIOSTAT}")
+        return bool(_calibrations(path) or _inner(path) or _heliostats(path))
+    return any(path.match(p) for p in (*CALIBRATION, *HELIOSTAT))
+
+
+def _matching(folder: Path, patterns: Iterable[str]) -> list[Path]:
+    return [p for pattern in patterns for p in folder.glob(pattern)]
+
+
+def _calibrations(folder: Path) -> list[Path]:
+    """Recordings in a folder, in the order in which they were taken."""
+    return sorted(_matching(folder, CALIBRATION), key=_order)
+
+
+def _inner(folder: Path) -> list[Path]:
+    """Folders within a folder that hold recordings."""
+    return sorted({p.parent for p in _matching(folder, [f"*/{c}" for c in CALIBRATION])})
+
+
+def _heliostats(folder: Path) -> list[Path]:
+    """Files of a heliostat's properties."""
+    found = set(_matching(folder, HELIOSTAT)) - set(_matching(folder, CALIBRATION))
+    return sorted(found)
 
 
 def read(folder: Path, tower: Path | None = None) -> Session:
@@ -74,15 +101,17 @@ def read(folder: Path, tower: Path | None = None) -> Session:
     """
     if not folder.is_dir():
         raise BenchsimError(f"{folder}: is one file of a heliostat's recordings; name the folder that holds them")
-    paths = sorted(folder.glob(CALIBRATION), key=_order)
+    paths = _calibrations(folder)
+    inner = _inner(folder)
+    if not paths and len(inner) == 1 and inner[0].name in RECORDINGS:
+        paths = _calibrations(inner[0])
     if not paths:
-        inner = sorted({p.parent.name for p in folder.glob(f"*/{CALIBRATION}")})
-        mend = f"name one of its folders ({', '.join(inner[:5])})" if inner else "add the recordings"
-        raise BenchsimError(f"{folder}: holds no {CALIBRATION} itself; {mend}")
+        mend = f"name one of its folders ({', '.join(p.name for p in inner[:5])})" if inner else "add the recordings"
+        raise BenchsimError(f"{folder}: holds no {CALIBRATION[0]} itself; {mend}")
     tower = tower if tower is not None else find_tower(folder)
     plant = load(tower)
     origin = triple(tower, plant, "power_plant_properties.coordinates")
-    heliostat = _only(folder, (folder, folder.resolve().parent / PROPERTIES), f"*{HELIOSTAT}", folder / HELIOSTAT)
+    heliostat = _heliostat(folder, paths[0].parent)
     properties = load(heliostat)
     position = enu(triple(heliostat, properties, "heliostat_position"), origin)
     if np.linalg.norm(position) > 1e3 * FAR_M:
@@ -101,11 +130,12 @@ def read(folder: Path, tower: Path | None = None) -> Session:
         actuators=_actuators(heliostat, properties),
         joints=_joints(heliostat, properties, remarks),
         latitude=math.radians(origin[0]),
+        targets=tuple(sorted(k for k in plant if k != "power_plant_properties")),
     )
     if not rows:
         raise BenchsimError(f"{folder}: no recording has a focal spot; add measured ones")
     reading, source, spot, target, methods = zip(*rows, strict=True)
-    names = tuple(p.name.removesuffix(CALIBRATION[1:]) for p in used)
+    names = tuple(p.name[: -len(CALIBRATION[0]) + 1] for p in used)
     second = [n for n, m in zip(names, methods, strict=True) if m != METHODS[0]]
     if second:
         which = f"any of the {len(names)} recordings" if len(second) == len(names) else ", ".join(second)
@@ -115,17 +145,21 @@ def read(folder: Path, tower: Path | None = None) -> Session:
     return Session(folder.resolve().name, folder, (*paths, heliostat, tower), mount, records, tuple(remarks))
 
 
-def _only(folder: Path, places: Iterable[Path], pattern: str, absent: Path) -> Path:
-    """The one file of a pattern in the first of the places that has any; ``absent`` where none has."""
+def _heliostat(folder: Path, recordings: Path) -> Path:
+    """The heliostat's one file: in the folder, in `PROPERTIES` in or beside it, or above its folder of recordings."""
+    here = folder.resolve()
+    places = [here, *(p / n for p in (here, here.parent) for n in PROPERTIES)]
+    if recordings.resolve() == here and here.name in RECORDINGS:
+        places.append(here.parent)
     for place in places:
-        found = sorted(place.glob(pattern))
+        found = _heliostats(place)
         if len(found) > 1:
             raise BenchsimError(
-                f"{folder}: {' and '.join(p.name for p in found[:3])} both match {pattern}; keep the right one"
+                f"{folder}: {' and '.join(p.name for p in found[:3])} may each be the heliostat's; keep the right one"
             )
         if found:
             return found[0]
-    return absent
+    return folder / HELIOSTAT[0].lstrip("*")
 
 
 def find_tower(folder: Path) -> Path:
@@ -133,7 +167,7 @@ def find_tower(folder: Path) -> Path:
     start = folder.resolve()
     for place in (start, *start.parents[:4]):
         for pattern in TOWER:
-            found = sorted(p for p in place.glob(pattern) if not p.name.endswith("calibration-properties.json"))
+            found = sorted(p for p in place.glob(pattern) if not any(p.match(c) for c in CALIBRATION))
             if len(found) > 1:
                 raise BenchsimError(
                     f"{place}: {' and '.join(p.name for p in found[:3])} may each be the tower's; name the right one "
@@ -224,7 +258,7 @@ def triple(path: Path, data: Mapping[str, Any], key: str) -> Array:
 
 def _order(path: Path) -> tuple[int, str]:
     """Recordings are numbered as they were taken."""
-    head = path.name.split("-", 1)[0]
+    head = re.split("[-_]", path.name, maxsplit=1)[0]
     return (int(head) if head.isdigit() else 1 << 60, path.name)
 
 

@@ -199,17 +199,46 @@ def predicted(session: Session, catalogue: Sequence[Effect]) -> Predict:
     for name, terms in session.effects.items():
         for term, value in terms.items():
             stated[term] = value * UNITS[_unit_of(mount, records, name, term)]
-    order = {t: k for k, t in enumerate(effects.targets(records))}
+    if "change" in stated:
+        stated["change"] = place_of(records, stated["change"])
+    order = {t: k for k, t in enumerate(effects.targets(mount, records))}
     return Predict(mount, records, units, stated, np.array([order[t] for t in records.target], np.intp))
 
 
 def _unit_of(mount: Mount, records: Records, effect: str, term: str) -> str:
     return next(
         p.unit
-        for e in (*effects.candidates(mount, records), *_never(mount))
+        for e in (*effects.candidates(mount, records, every=True), *_never(mount))
         for p in e.parameters
         if e.name == effect and p.name == term
     )
+
+
+def place_of(records: Records, change: float) -> float:
+    """Place among the records of a change that a file states."""
+    numbers = _numbers(records)
+    if numbers is None:
+        return change
+    after = int(np.searchsorted(numbers, change))
+    # Far enough from the first and from the last record that nothing of the change's own width is left there.
+    return {0: -5.0, len(numbers): len(numbers) + 5.0}.get(after, after - 0.5)
+
+
+def change_of(records: Records, place: float) -> float:
+    """How a file states a change at a place among these records."""
+    numbers = _numbers(records)
+    if numbers is None:
+        return place
+    after = int(np.clip(np.ceil(place), 1, len(numbers) - 1))
+    return float(numbers[after - 1] + numbers[after]) / 2
+
+
+def _numbers(records: Records) -> Array | None:
+    """The records' numbers, if their names are such and grow."""
+    if not all(n.isdigit() for n in records.names):
+        return None
+    numbers = np.array([float(n) for n in records.names])
+    return numbers if (np.diff(numbers) > 0).all() else None
 
 
 def _never(mount: Mount) -> tuple[Effect, ...]:

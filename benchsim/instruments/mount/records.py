@@ -65,6 +65,9 @@ class Mount:
         [rad]; None: unknown, and clock errors are no candidates.
     zero : (2,) array
         Added to the readings: what the encoders are known to be off by, [rad].
+    targets : tuple of str
+        Names of all the targets of the plant: their order numbers ``target_e_1`` and its like, whichever of them some
+        records are of. Empty: those of the records, in the order of the alphabet.
     """
 
     axes: str
@@ -74,6 +77,7 @@ class Mount:
     actuators: tuple[Actuator, ...] = ()
     latitude: float | None = None
     zero: Array = field(default_factory=lambda: np.zeros(2))
+    targets: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:

@@ -8,6 +8,9 @@
 
     [effects.axis-tilt]
     tilt_n = -18.2                      # unit of the catalogue
+
+A change of the mount is stated between two records, ``change = 2041.5``: by their numbers where their names are
+numbers, so that it holds of any records of that mount, else by their place in the file.
 """
 
 from __future__ import annotations
@@ -108,7 +111,8 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def _check(path: Path, session: Session, found: Mapping[str, Mapping[str, Any]]) -> None:
-    known = {e.name: [p.name for p in e.parameters] for e in effects.candidates(session.mount, session.records)}
+    everything = effects.candidates(session.mount, session.records, every=True)
+    known = {e.name: [p.name for p in e.parameters] for e in everything}
     for name, terms in found.items():
         if name not in known:
             raise BenchsimError(f"{path}: effects.{name}: is no effect of this mount; there are {', '.join(known)}")
