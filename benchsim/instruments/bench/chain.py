@@ -28,7 +28,7 @@ from benchsim.trace.pose import Pose, pose_derivatives, to_pixels
 
 Array = NDArray[np.float64]
 
-BOARD_EFFECTS = ("screen-tilt", "screen-bow")
+BOARD_EFFECTS = ("screen-bow",)
 BOARD_FIELDS = ("pixel", "brightness", "height", "shift")
 
 STEPS = 4
