@@ -156,7 +156,7 @@ CATALOGUE: tuple[Entry, ...] = (
     Entry(
         "second-surface",
         "mirror",
-        (Term("glass", "mm", 5.0, one_sided=True),),
+        (Term("glass", "mm", 2.0, one_sided=True),),
         "The coating lies behind glass, which displaces the light and sends a ghost from its front face.",
         "Use a first-surface mirror, or state the glass.",
         "refraction at a plane plate, n = 1.515 (BK7 at 633 nm)",
@@ -283,7 +283,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "screen-tilt",
         "screen",
         (Term("st_y", "mrad", 20.0), Term("st_z", "mrad", 20.0)),
-        "The screen is not square to x.",
+        "The screen is turned about its centre out of the plane square to x.",
         "Square the screen with a mirror on it that sends light from the rotation's centre back.",
         _GEOMETRY,
     ),
