@@ -7,9 +7,8 @@ and the diagnosis takes it that this is what `trace.extract` reads.
 Set-up: the fourth setting of `campaign12`, which parts the two lights the farthest, by a camera of half the pixels each
 way, geometric optics, no noise of the sensor, everything as stated; two thicknesses. Expectation: in the mean over the
 trace the line is read within 1.5 µm of the prediction, while the coating's own line is at least 5 µm away per mm of
-glass. The reading
-is true to 1 µm without a ghost; 2 million rays of light scatter its mean by 0.16 µm (1 sigma of six seeds), so that the
-test fails by chance less than once in a million runs, and its seed is fixed.
+glass. The reading is true to 1 µm without a ghost; 2 million rays of light scatter its mean by 0.16 µm (1 sigma of six
+seeds), so that the test fails by chance less than once in a million runs, and its seed is fixed.
 """
 
 from dataclasses import replace
