@@ -65,8 +65,8 @@ def surface(effects: Effects, fields: Mapping[str, Field]) -> Surface:
 def turned(placement: Placement, effects: Effects) -> Placement:
     """The placement with the board, marks and all, moved along x, tilted, and rolled about its own normal.
 
-    The tilt is the turn about an axis in the board's plane that gives it the slopes st_z along y and st_y along z: about
-    +y for the one along z, about −z for the one along y, by the angle whose tangent is the steepest slope.
+    The tilt is the turn about an axis in the board's plane that gives it the slopes st_z along y and st_y along z:
+    about +y for the one along z, about −z for the one along y, by the angle whose tangent is the steepest slope.
     """
     moved = value(effects, "screen-distance", "sx")
     roll = value(effects, "screen-rotation", "srot", MRAD)
@@ -80,5 +80,5 @@ def turned(placement: Placement, effects: Effects) -> Placement:
     return replace(
         placement,
         screen_rotation=placement.screen_rotation @ turn,
-        screen_origin=placement.screen_origin + [moved, 0.0, 0.0],
+        screen_origin=placement.screen_origin + np.array([moved, 0.0, 0.0]),
     )

@@ -202,9 +202,7 @@ def test_light_meets_the_plane_that_the_tilt_names(lab):
     centre = np.linalg.norm(hits - [5.0, 0.0, 0.0], axis=1)
     np.testing.assert_allclose(np.linalg.norm(curve.points, axis=1), centre, atol=1e-6)
     apart = np.linalg.norm(hits[:, None] - hits[None], axis=2)
-    np.testing.assert_allclose(
-        np.linalg.norm(curve.points[:, None] - curve.points[None], axis=2), apart, atol=1e-6
-    )
+    np.testing.assert_allclose(np.linalg.norm(curve.points[:, None] - curve.points[None], axis=2), apart, atol=1e-6)
     # No turn within the plane: where the tilt's axis cuts the board, board and world coincide.
     axis = np.array([0.0, 8.0, 6.0]) / 10.0
     np.testing.assert_allclose(curve.points @ axis[1:], hits @ axis, atol=1e-6)

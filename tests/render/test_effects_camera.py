@@ -286,7 +286,10 @@ def test_a_sloping_surface_shows_the_same_light_on_more_paper(light):
     plain = photograph(SCREEN, CAMERA, light, placement=standing())
     k = np.array([-300.0, 300.0])
     rising = {"height": field([k, k], (0.3 * k[:, None] + 0.0 * k)[None])}
-    for expected, more in ((1 / np.hypot(1, 0.3), {"fields": rising}), (1.0, {"effects": {"screen-tilt": {"st_z": 300.0}}})):
+    for expected, more in (
+        (1 / np.hypot(1, 0.3), {"fields": rising}),
+        (1.0, {"effects": {"screen-tilt": {"st_z": 300.0}}}),
+    ):
         steep = photograph(SCREEN, CAMERA, light, placement=standing(), **more)
         assert steep.laser.max() / plain.laser.max() == pytest.approx(expected, rel=0.02)
 
@@ -297,7 +300,11 @@ def test_a_turned_board_shows_nothing_of_it():
     Expectation: edges of the printed squares, and so the corners, are those of a plane: 0.01 px, which is what the
     squares of the board as it is stated leave.
     """
-    effects = {"screen-tilt": {"st_y": 18.0, "st_z": -14.0}, "screen-rotation": {"srot": 9.0}, "screen-distance": {"sx": 6.0}}
+    effects = {
+        "screen-tilt": {"st_y": 18.0, "st_z": -14.0},
+        "screen-rotation": {"srot": 9.0},
+        "screen-distance": {"sx": 6.0},
+    }
     y, z = np.array([c for c in MARKED.marks.centres]).T
     board = np.column_stack([np.zeros(len(y)), y, z])
     picture = photograph(MARKED, CAMERA, None, placement=standing(), effects=effects)

@@ -28,7 +28,7 @@ class Term:
     Attributes
     ----------
     name, unit : str
-        As in the recording's ``[effects]``.
+        As in the recording's ``[effects]``; the unit as `bench.units` spells it.
     cap : float
         Largest plausible magnitude; an amplitude's prior is N(0, (cap/2)²), half of it where ``one_sided``.
     one_sided : bool
@@ -207,7 +207,7 @@ CATALOGUE: tuple[Entry, ...] = (
     Entry(
         "coma",
         "source",
-        (Term("coma_u", "mrad/mm^2", 0.1), Term("coma_v", "mrad/mm^2", 0.1)),
+        (Term("coma_u", "mrad/mm2", 0.1), Term("coma_v", "mrad/mm2", 0.1)),
         "The expander is decentred: directions over the beam follow the gradient of Zernike's coma.",
         "Centre the expander's lenses on each other.",
         "gradient of r³ cos φ (Born & Wolf, ch. 9)",
