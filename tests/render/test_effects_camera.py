@@ -71,8 +71,8 @@ def standing() -> Placement:
 def stands_turned(sx, st_y, st_z, srot):
     """Axes of the rigid board in the world, written out, and its centre.
 
-    Seen along its own normal it is turned by ``srot``. Its plane x = st_z y + st_y z is reached by a turn about the line
-    in which that meets the plane as it was.
+    Seen along its own normal it is turned by ``srot``. Its plane x = st_z y + st_y z is reached by a turn about the
+    line in which that meets the plane as it was.
     """
     placement, a = standing(), 1e-3 * srot
     rolled = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
@@ -84,9 +84,9 @@ def stands_turned(sx, st_y, st_z, srot):
         rise, c = fall / steep, 1 / np.hypot(1, steep)
         level = np.cross([1.0, 0, 0], rise)
         before = np.stack([[1.0, 0, 0], rise, level])
-        after = np.stack([c * (np.array([1.0, 0, 0]) - fall), c * (rise + [steep, 0, 0]), level])
+        after = np.stack([c * (np.array([1.0, 0, 0]) - fall), c * np.array([steep, *rise[1:]]), level])
         tilted = after.T @ before
-    return placement.screen_rotation @ tilted @ rolled, placement.screen_origin + [sx, 0.0, 0.0]
+    return placement.screen_rotation @ tilted @ rolled, placement.screen_origin + np.array([sx, 0.0, 0.0])
 
 
 def seen(y, z, effects=None, fields=(), *, on_paper=False, scale=1.0):
