@@ -53,9 +53,8 @@ def errors_of(truth: dict, exposure: Exposure, index: int) -> SettingErrors:
     own = {k: v for table in effects_of(truth).values() for k, v in table.items()}
     slopes = np.array([own.get("st_z", 0.0), own.get("st_y", 0.0)]) * 1e-3
     turn = own.get("srot", 0.0) * 1e-3
-    as_seated = board(
-        exposure.screen_roll, *(slopes + 1e-3 * np.array([r["r_tz"], r["r_ty"]])), turn + 1e-3 * r["r_rot"]
-    )
+    seated = slopes + 1e-3 * np.array([r["r_tz"], r["r_ty"]])
+    as_seated = board(exposure.screen_roll, *seated, turn + 1e-3 * r["r_rot"])
     return SettingErrors(
         np.array([s["n_cx"], s["n_cy"], s["n_cz"]]),
         np.array([s["n_a1"], s["n_a2"]]) * 1e-3,
