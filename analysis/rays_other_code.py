@@ -1,10 +1,10 @@
 """`rays` against the truth of photographs that other code made: centre line, flux and width from their setting errors.
 
-The truth is a list of points (y, z) on the board with the spot's light per phase and its covariance; the setting errors
-are stated beside it. clean-f7 is geometric; known-six has a bowed board, x = (bow_y y² + bow_z z²)/2 in board
-coordinates, whose points are carried to the flat board along the light before the comparison. Their re-seating slopes
-r_ty, r_tz tilt the board as x = r_ty z + r_tz y in its own, rolled coordinates; ours is a turn about the world's axes,
-which differs in name only.
+The truth is a list of points (y, z) of the board as its marks define it, with the spot's light per phase and its
+covariance; effects and setting errors are stated beside it. Their board stands on the plane x = slopes · (y, z) of tilt
+and re-seating together, in coordinates that roll as stated, and is turned within it by ``srot`` and the re-seating's
+roll; ours is seated by a turn about the world's axes, which differs in name only: the turn that leads to their board is
+taken.
 
 Bar: 5 µm rms in every exposure. What is left has no statistical error: both are deterministic.
 """
@@ -13,21 +13,36 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchsim.bench.curve import signed_distance
+from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.files import read
 from benchsim.bench.model import Exposure, Recording
-from benchsim.bench.place import Placement, SettingErrors, place
-from benchsim.rays import trace_curve
-from benchsim.rays.curve import beam_profiles, sample_phases
-from benchsim.rays.sweep import Bench
+from benchsim.bench.place import SettingErrors
+from benchsim.rays.camera import print_places
+from benchsim.rays.curve import beam_profiles
+from benchsim.rays.phases import sample_phases
+from benchsim.rays.prediction import bench_of
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "recordings" / "bench-other-code"
 BAR = 5e-3
+
+
+def effects_of(truth: dict) -> dict[str, dict[str, float]]:
+    """The truth's effects as a recording's ``[effects]``."""
+    return {e["name"]: {k: v["value"] for k, v in e["parameters"].items()} for e in truth["effects"]}
+
+
+def board(roll: float, along_y: float, along_z: float, turn: float) -> Rotation:
+    """Their board: turned within the plane x = along_y y + along_z z, which rolls as stated."""
+    axis = np.array([0.0, along_z, -along_y])
+    steep = float(np.linalg.norm(axis))
+    tilt = Rotation.from_rotvec(axis * (np.arctan(steep) / steep if steep else 1.0))
+    return Rotation.from_rotvec([roll, 0.0, 0.0]) * tilt * Rotation.from_rotvec([turn, 0.0, 0.0])
 
 
 def errors_of(truth: dict, exposure: Exposure, index: int) -> SettingErrors:
@@ -35,39 +50,30 @@ def errors_of(truth: dict, exposure: Exposure, index: int) -> SettingErrors:
     s = truth["setting_errors"][exposure.setting]
     seat = truth["seat_errors"][str(truth["seats"][index])]
     r = {key: seat.get(key, 0.0) for key in ("r_x", "r_y", "r_z", "r_rot", "r_ty", "r_tz")}
-    roll = Rotation.from_rotvec([exposure.screen_roll, 0.0, 0.0])
+    own = {k: v for table in effects_of(truth).values() for k, v in table.items()}
+    slopes = np.array([own.get("st_z", 0.0), own.get("st_y", 0.0)]) * 1e-3
+    turn = own.get("srot", 0.0) * 1e-3
+    seated = slopes + 1e-3 * np.array([r["r_tz"], r["r_ty"]])
+    as_seated = board(exposure.screen_roll, *seated, turn + 1e-3 * r["r_rot"])
     return SettingErrors(
         np.array([s["n_cx"], s["n_cy"], s["n_cz"]]),
         np.array([s["n_a1"], s["n_a2"]]) * 1e-3,
         np.array([s["n_saz"], s["n_sel"]]) * 1e-3,
         np.array([r["r_x"], r["r_y"], r["r_z"]]),
-        roll.apply(np.array([r["r_rot"], r["r_ty"], -r["r_tz"]]) * 1e-3),
+        (as_seated * board(exposure.screen_roll, *slopes, turn).inv()).as_rotvec(),
     )
-
-
-def flatten(points: np.ndarray, placement: Placement, bow: tuple[float, float]) -> np.ndarray:
-    """Carry points of the bowed board along the light to its tangent plane at the centre.
-
-    The light is taken to come from the laser's point on the mirror; it comes from within 3 mm of it, 0.3 µm here.
-    """
-    mirror = (placement.laser_point - placement.screen_origin) @ placement.screen_rotation
-    x = 0.5 * (bow[0] * points[:, 0] ** 2 + bow[1] * points[:, 1] ** 2)
-    ray = np.column_stack([x, points]) - mirror
-    return points - (x / ray[:, 0])[:, None] * ray[:, 1:]
 
 
 def compare(recording: Recording, truth: dict, traces: list[np.ndarray]) -> list[dict[str, float]]:
     """Per exposure: rms and largest distance of the centre line [mm], relative misfit of flux and rms width."""
-    bows = {e["name"]: e["parameters"] for e in truth["effects"]}.get("screen-bow")
-    bow = tuple(bows[k]["value"] * 1e-3 for k in ("bow_y", "bow_z")) if bows else (0.0, 0.0)
+    recording = replace(recording, effects=effects_of(truth))
     rows = []
     for i, (exposure, trace) in enumerate(zip(recording.exposures, traces, strict=True)):
-        p = place(recording.mirror, exposure, errors_of(truth, exposure, i))
-        flat = flatten(trace[:2].T, p, bow)
-        curve = trace_curve(recording.laser, recording.mirror, recording.physics, recording.screen, p, samples=200)
-        d, s = signed_distance(curve, flat)
-        bench = Bench(recording.laser, recording.mirror, recording.physics, recording.screen, p)
-        _, tangent, nodes = beam_profiles(bench, sample_phases(bench, 200))
+        bench = bench_of(recording, exposure, errors_of(truth, exposure, i))
+        points, tangent, nodes = beam_profiles(bench, sample_phases(bench, 200))
+        curve = Curve(points, None, nodes.flux, nodes.mean(nodes.phase))
+        # Where marks are printed out of place, theirs are places as the marks have them.
+        d, s = signed_distance(curve, print_places(recording, trace[:2].T))
         along = curve.arc_length()
         a, b = -np.interp(s, along, tangent[:, 1]), np.interp(s, along, tangent[:, 0])
         spread = np.sqrt(a * a * trace[5] + 2 * a * b * trace[6] + b * b * trace[7])
@@ -78,9 +84,9 @@ def compare(recording: Recording, truth: dict, traces: list[np.ndarray]) -> list
         inner = slice(2, -2)
         rows.append(
             {
-                "rms": float(np.sqrt((d**2).mean())),
-                "worst": float(np.abs(d).max()),
-                "flux": float(np.std(ratio[inner]) / ratio.mean()),
+                "rms": float(np.sqrt((d[inner] ** 2).mean())),
+                "worst": float(np.abs(d[inner]).max()),
+                "flux": float(np.std(ratio[inner]) / ratio[inner].mean()),
                 "width": float(np.abs(width[inner]).max()),
             }
         )
@@ -93,9 +99,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=SHARED)
     args = parser.parse_args()
     if not args.folder.is_dir():
-        print(f"{args.folder} is not there; give --folder with clean-f7, known-six and truth in it")
+        print(f"{args.folder} is not there; give --folder with the recordings and truth in it")
         return
-    for name in ("clean-f7", "known-six"):
+    for name in sorted(path.stem for path in (args.folder / "truth").glob("*.json")):
         recording = read(args.folder / name)
         truth = json.loads((args.folder / "truth" / f"{name}.json").read_text())
         arrays = np.load(args.folder / "truth" / f"{name}.npz")

@@ -44,7 +44,7 @@ class Bench:
 
     @property
     def radius(self) -> float:
-        """Distance of the reflecting surface (before a coating: of its glass) from the axis of rotation [mm]."""
+        """Distance of the facet, glass or not, from the axis of rotation [mm]."""
         return self.mirror.radius + self.parts.polygon.pivot
 
     @cached_property

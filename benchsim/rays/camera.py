@@ -134,8 +134,8 @@ def see(
     camera : Camera
         As stated.
     rotation, translation : (3, 3) array, (3,) array [mm]
-        Of the board as its marks define it: x_camera = R (height, y, z) + t. A shift or roll of the board as a whole
-        (``screen-distance``, ``screen-rotation``) is part of the pose.
+        Of the board as its marks define it: x_camera = R (height, y, z) + t. However the board as a whole is moved or
+        turned (``screen-distance``, ``screen-rotation``, ``screen-tilt``), it is part of the pose.
     board : (n, 2) array [mm]
         y, z: true places on the board (light), or with ``printed`` the nominal ones of what is printed there.
     printed : bool
@@ -223,12 +223,10 @@ def print_places(recording: Recording, nominal: Array) -> Array:
 
 
 def board_height(recording: Recording, board: Array) -> Array:
-    """Height (n,) [mm] of the surface over the board's plane at true places (n, 2): tilt, bow and field ``height``."""
-    e = recording.effects
+    """Height (n,) [mm] of the surface over the board's plane at true places (n, 2): bow and field ``height``."""
+    bow = recording.effects.get("screen-bow", {})
     y, z = np.asarray(board, float).T
-    tilt, bow = e.get("screen-tilt", {}), e.get("screen-bow", {})
-    x = 1e-3 * (tilt.get("st_z", 0.0) * y + tilt.get("st_y", 0.0) * z)
-    x = x + 0.5e-3 * (bow.get("bow_y", 0.0) * y**2 + bow.get("bow_z", 0.0) * z**2)
+    x = 0.5e-3 * (bow.get("bow_y", 0.0) * y**2 + bow.get("bow_z", 0.0) * z**2)
     if "height" in recording.fields:
         x = x + evaluate(recording.fields["height"], y, z)[0]
     return x

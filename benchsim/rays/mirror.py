@@ -1,8 +1,12 @@
-"""The turning mirror: points and normals of a facet or of the cylinder, reflection, and the glass before a coating."""
+"""The turning mirror: points and normals of a facet or of the cylinder, reflection, and the glass before a coating.
+
+Of glass with its coating behind, the front face is the facet: it stands at r and has the facet's edges, through which
+all light enters; what the coating sends back leaves the front face wherever it comes to.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,7 +53,7 @@ class MirrorEffects:
     pedestal : (3,) rad
         Turn of axis and body about world x, y, z through C (a rotation vector).
     glass : float
-        Thickness before the coating [mm]; its front face stands at r.
+        Thickness before the coating [mm].
     curvature : float
         Of the facets, > 0 convex [1/mm].
     phases : (p,) array [rad]
@@ -215,7 +219,6 @@ def surface(
     lean: Array | float,
     t: Array,
     h: Array,
-    depth: Array | float = 0.0,
 ) -> tuple[Array, Array, Array | None]:
     """Points and normals of a facet that may lean about its centre and be curved.
 
@@ -226,8 +229,6 @@ def surface(
     phase : (...) array [rad]
     lean : float or (...) array [rad]
     t, h : arrays, broadcast against ``phase`` [mm]
-    depth : float
-        How far behind the front face the surface lies [mm].
 
     Returns
     -------
@@ -244,8 +245,6 @@ def surface(
         c, s = over(np.cos(lean)), over(np.sin(lean))
         normal, along = c * normal + s * along, c * along - s * normal
     th, hh = np.asarray(t, float)[..., None], np.asarray(h, float)[..., None]
-    if some(depth):
-        x = x - over(depth) * normal
     x = x + th * across + hh * along
     if not some(curvature):
         return x, normal, None
@@ -289,31 +288,25 @@ def refracted(direction: Array, normal: Array, index: float = GLASS) -> tuple[Ar
     return inside, cosine, 0.5 * (s * s + p * p)
 
 
-def through_glass(
-    thickness: Array | float, coating: Array, normal: Array, direction_at: Callable[[Array], Array]
-) -> tuple[Array, Array, Array]:
-    """Light that reaches points of a coating through the plane-parallel glass before it, and leaves again.
+def through_glass(thickness: Array | float, entry: Array, normal: Array, direction: Array) -> tuple[Array, Array]:
+    """Light that enters a plane-parallel plate, is reflected at the coating behind it, and leaves again.
 
-    The glass is taken to reach beyond the coating on all sides, and its front face as parallel to the coating.
+    It leaves 2 × thickness × tan θ′ further on along the front face, θ′ its angle to the normal inside, in the
+    direction in which the front face would reflect it.
 
     Parameters
     ----------
     thickness : float [mm]
-    coating, normal : (..., 3) array
-    direction_at : function
-        Direction of the incoming light through points (..., 3) of the front face.
+    entry, normal, direction : (..., 3) array
+        Where it meets the front face [mm], the face's unit normal there, and how it comes, of any length.
 
     Returns
     -------
-    entry, leave : (..., 3) ndarray [mm]
-        Where it enters and leaves the front face.
+    leave : (..., 3) ndarray [mm]
+        Where it leaves the front face.
     passed : (...) ndarray
         Share of the light that passes the front face both ways.
     """
-    entry = coating + over(thickness) * normal
-    # Each round shrinks the error by thickness × curvature, some 2e-3.
-    for _ in range(4):
-        inside, cosine, reflectance = refracted(direction_at(entry), normal)
-        entry = coating - (thickness / cosine)[..., None] * inside
-    leave = coating + (thickness / cosine)[..., None] * reflect(inside, normal)
-    return entry, leave, (1.0 - reflectance) ** 2
+    inside, cosine, reflectance = refracted(direction, normal)
+    leave = entry + (thickness / cosine)[..., None] * (inside + reflect(inside, normal))
+    return leave, (1.0 - reflectance) ** 2

@@ -1,17 +1,19 @@
-"""The board: where rays meet its surface, in its own coordinates.
+"""The board: how it is turned, and where rays meet its surface, in its own coordinates.
 
-The surface stands x = sx + st_z y + st_y z + ½ (bow_y y² + bow_z z²) + field(y, z) over the board's plane, toward the
-mirror; y, z and x are the board's own axes, which roll with it.
+The board is rigid. A tilt turns it with its marks about its centre, by the smallest turn that brings its plane to
+x = sx + st_z y + st_y z; the recording's known roll takes that plane with it, and an unknown one turns the board within
+it. On the board itself the surface stands ½ (bow_y y² + bow_z z²) + field(y, z) over its plane, along its normal at
+coordinates y, z that are measured along it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from benchsim.bench.fields import Field, prepared
 from benchsim.bench.place import Placement
@@ -36,29 +38,37 @@ class BoardEffects:
     Attributes
     ----------
     distance : float [mm]
+        Along the world's x.
     slope : (along y, along z)
+        Of the plane to which the board is tilted.
     bow : (along y, along z) [1/mm]
     height : function of (y, z) [mm] that gives a height [mm], or None
-    turn : float
-        About the board's own x, marks and all [rad].
+    roll : float
+        About the board's own normal, in the plane to which it is tilted [rad].
     """
 
     distance: float = 0.0
     slope: tuple[float, float] = (0.0, 0.0)
     bow: tuple[float, float] = (0.0, 0.0)
     height: Callable[..., Array] | None = None
-    turn: float = 0.0
+    roll: float = 0.0
 
     @property
     def flat(self) -> bool:
-        """Whether the surface is the plane x = 0."""
-        return not some(self.distance, *self.slope, *self.bow) and self.height is None
+        """Whether the surface is plane."""
+        return not some(*self.bow) and self.height is None
+
+    @cached_property
+    def turn(self) -> Array:
+        """Matrix (3, 3) of the board's turn, marks and all, in the frame in which it is seated; see `tilted`."""
+        c, s = np.cos(self.roll), np.sin(self.roll)
+        return tilted(*self.slope) @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
     def slopes(self, y: Array, z: Array) -> tuple[Array, Array]:
         """Slopes of the surface without its field, along y and z; plain numbers where it is not bent."""
         if not some(*self.bow):
-            return np.asarray(self.slope[0]), np.asarray(self.slope[1])
-        return self.slope[0] + self.bow[0] * y, self.slope[1] + self.bow[1] * z
+            return np.zeros(()), np.zeros(())
+        return self.bow[0] * y, self.bow[1] * z
 
 
 def effects(tables: Effects, fields: Mapping[str, Field]) -> BoardEffects:
@@ -76,12 +86,27 @@ def effects(tables: Effects, fields: Mapping[str, Field]) -> BoardEffects:
     )
 
 
+def tilted(along_y: float, along_z: float) -> Array:
+    """Matrix (3, 3) of the smallest turn that brings the plane x = 0 to x = along_y y + along_z z.
+
+    The turn from x to the plane's normal n about x × n, by Rodrigues' formula; it has no part about x.
+    """
+    n = np.array([1.0, -along_y, -along_z])
+    n /= np.sqrt(n @ n)
+    out = np.eye(3) - np.outer(n, n) / (1.0 + n[0])
+    out[0], out[:, 0] = -n, n
+    return out
+
+
 def turned(placement: Placement, board: BoardEffects) -> Placement:
-    """The placement with the board turned about its own x."""
-    if not board.turn:
+    """The placement with the board moved along x, and turned about its centre."""
+    if not some(board.distance, board.roll, *board.slope):
         return placement
-    turn = Rotation.from_rotvec([board.turn, 0.0, 0.0]).as_matrix()
-    return replace(placement, screen_rotation=placement.screen_rotation @ turn)
+    return replace(
+        placement,
+        screen_rotation=placement.screen_rotation @ board.turn,
+        screen_origin=placement.screen_origin + np.array([board.distance, 0.0, 0.0]),
+    )
 
 
 def meet(placement: Placement, x: Array, direction: Array, surface: BoardEffects | None = None) -> tuple[Array, Array]:
@@ -127,7 +152,7 @@ def _on_surface(
     for _ in range(30):
         y, z = start[1] + s * ray[1], start[2] + s * ray[2]
         slope_y, slope_z = surface.slopes(y, z)
-        high = surface.distance + 0.5 * (y * (surface.slope[0] + slope_y) + z * (surface.slope[1] + slope_z))
+        high = 0.5 * (y * slope_y + z * slope_z)
         if surface.height is not None:
             high = high + surface.height(y, z)[0]
         step = (high - start[0] - s * ray[0]) / (ray[0] - slope_y * ray[1] - slope_z * ray[2])

@@ -125,16 +125,13 @@ def axis_ray(bench: Bench, phase: Array, lean: Array | float = 0.0, *, front: bo
         return _onward(bench, x, normal, incoming, passed=optic.refracted(incoming, normal)[2])
     if not some(polygon.glass):
         return _onward(bench, x, normal, incoming)
-    inside, cosine, reflectance = optic.refracted(incoming, normal)
-    back = x + (polygon.glass / cosine)[..., None] * (inside + optic.reflect(inside, normal))
-    return _onward(bench, x, normal, incoming, back, (1.0 - reflectance) ** 2)
+    return _onward(bench, x, normal, incoming, *optic.through_glass(polygon.glass, x, normal, incoming))
 
 
 def beam_ray(bench: Bench, phase: Array, t: Array, h: Array, lean: Array | float = 0.0) -> Light:
     """The beam's ray that meets the point (t, h) of the facet at a phase; for a cylinder t is 0.
 
-    ``lean`` is added to the mean facet's. Behind glass (t, h) is the point of the coating and ``x`` where the light
-    enters.
+    ``lean`` is added to the mean facet's. Of glass (t, h) is the point of the front face at which the light enters.
     """
     return _beam_light(bench, phase, t, h, lean)[0]
 
@@ -152,14 +149,13 @@ def _beam_light(
     """The ray, and with ``power`` the power per dt dh that the first of a stack of phases brings to the board."""
     p, polygon = bench.placement, bench.parts.polygon
     lean = lean + polygon.lean(bench.facet, phase)
-    glass: Array | float = 0.0 if front else polygon.glass
-    x, normal, area = optic.surface(p, bench.radius, polygon.curvature, phase, lean, t, h, glass)
-    leave, passed = None, None
-    if some(glass):
-        x, leave, passed = optic.through_glass(glass, x, normal, lambda at: bench.beam.light(at)[0])
+    x, normal, area = optic.surface(p, bench.radius, polygon.curvature, phase, lean, t, h)
     incoming, density = bench.beam.light(x)
+    leave, passed = None, None
     if front:
         passed = optic.refracted(incoming, normal)[2]
+    elif some(polygon.glass):
+        leave, passed = optic.through_glass(polygon.glass, x, normal, incoming)
     light = _onward(bench, x, normal, incoming, leave, passed)
     if not power:
         return light, 0.0

@@ -1,11 +1,11 @@
 """The reflecting facet as it is: leaning, curved, or glass with its coating behind.
 
 A facet turns about its own middle, C + r n, and not about the axis of rotation. Lean is that of its normal toward the
-mirror's axis. A curved facet is a sphere that touches the plane in the middle. Glass: the front face stands where the
-bare facet does, the coating, as large as the bare facet, that much behind, and the glass reaches beyond it on all
-sides; the light is refracted in, reflected and refracted out, and what the front face reflects (Fresnel, unpolarised)
-over the same width and height draws a ghost beside it. Light that goes to and fro in the glass more than once is
-left out: it is as faint as the ghost and lies on its other side.
+mirror's axis. A curved facet is a sphere that touches the plane in the middle. Glass: the front face is the facet, with
+its edges; the coating lies that much behind and reaches beyond them. What enters through the front face is refracted,
+reflected and refracted out, wherever it leaves; what the front face reflects (Fresnel, unpolarised) draws a ghost
+beside it. Light that goes to and fro in the glass more than once is left out: it is as faint as the ghost and lies on
+its other side.
 """
 
 from __future__ import annotations

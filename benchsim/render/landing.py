@@ -31,8 +31,6 @@ class Landing:
     y_axis: Vec
     z_axis: Vec
     chief: tuple[Any, Any]
-    distance: Any
-    slope: tuple[Any, Any]
     bow: tuple[Any, Any]
     field: Table | None
     highest: Any
@@ -45,7 +43,7 @@ class Landing:
         """
         along_y = (self.chief[0] + dot(q, self.y_axis)) / approach
         along_z = (self.chief[1] + dot(q, self.z_axis)) / approach
-        s = Surface(self.distance, self.slope, self.bow)
+        s = Surface(self.bow)
         x: Any = 0.0 * y
         step: Any = x
         for _ in range(STEPS):
@@ -74,8 +72,6 @@ def landing(recording: Recording, placement: Placement, rotor: Array, chief: Arr
         tuple(ey.tolist()),
         tuple(ez.tolist()),
         (float(chief @ ey), float(chief @ ez)),
-        s.distance,
-        s.slope,
         s.bow,
         None if s.field is None else Table(s.field),
         highest,

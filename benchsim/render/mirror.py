@@ -304,16 +304,7 @@ def from_facet(
         on, change, up = facet_shape.lift(o.shape, c1, s, o.shape.leaning(delta, facet, m), t + zero, h + zero, m)
     xi = (o.radius * c1 + on[0], o.radius * s + on[1], on[2])
     kick, rho, spread = ray_through(o.beam, tuple(o.offset[i] + xi[i] for i in range(3)), jitter)
-    entry = xi
-    if o.shape is not None and o.shape.coated_behind:
-        # (t, h) is the place on the coating; the light enters before it. A step shrinks the error by glass × curvature.
-        d, normal = o.beam.direction, (1.0 + change[0], change[1], change[2])
-        for _ in range(2):
-            aside, _r = facet_shape.within(tuple(d[i] + kick[i] for i in range(3)), normal)
-            way = (1.0 - ghost) * o.shape.glass
-            entry = tuple(xi[i] - way * aside[i] for i in range(3))
-            kick, rho, spread = ray_through(o.beam, tuple(o.offset[i] + entry[i] for i in range(3)), jitter)
-    return _onward_bent(o, entry, kick, rho, spread, change, up, t, h, ghost, m)
+    return _onward_bent(o, xi, kick, rho, spread, change, up, t, h, ghost, m)
 
 
 def single_ray(o: Optics, delta: Any, m: Any, *, facets: bool, facet: Any = 0.0, ghost: Any = 0.0) -> Hit:

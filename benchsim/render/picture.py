@@ -123,14 +123,13 @@ def _meet(shape: Surface, field: Any, half: tuple[float, float], origin: Any, di
     """
     hit = dr.zeros(mi.SurfaceInteraction3f, dr.width(direction))
     # Values that may change from picture to picture are no constants of the compiled kernel.
-    (sy, sz), (by, bz) = shape.slope, shape.bow
-    shape = Surface(_opaque(shape.distance), (_opaque(sy), _opaque(sz)), (_opaque(by), _opaque(bz)))
+    shape = Surface((_opaque(shape.bow[0]), _opaque(shape.bow[1])))
     wide, high = (_opaque(h) for h in half)
 
     def texture_at(y: Any, z: Any) -> Any:
         return mi.Point2f(0.5 * (y / wide + 1), 0.5 * (z / high + 1))
 
-    t = (shape.distance - origin.z) / direction.z
+    t = -origin.z / direction.z
     y, z = origin.x + t * direction.x, origin.y + t * direction.y
     for _ in range(_MEET_STEPS):
         h, slope_y, slope_z = shape.smooth(y, z)

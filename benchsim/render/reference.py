@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 DRAWN = frozenset(
     "pivot-offset canting axis-tilt azimuth-offset beam-direction beam-offset "
-    "wavefront-curvature screen-rotation stage".split()
+    "wavefront-curvature screen-distance screen-tilt screen-rotation stage".split()
 )
 """Effects and fields of which a scene is made: those that place, turn and focus its shapes. Facets that differ are not
 among them, since a scene's phases run over one facet's turn only."""

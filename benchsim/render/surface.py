@@ -1,6 +1,6 @@
-"""The board's shape: how far its surface stands from the plane that the recording states, and how the board is turned.
+"""The board: how it is moved and turned as a whole, and how its surface rises from its plane.
 
-Board frame: y, z on the board, x its height toward the mirror; all rolls with the board about its centre.
+Board frame: y, z along the board, x along its normal, toward the mirror; all rolls with the board about its centre.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from benchsim.bench.fields import Field, evaluate
 from benchsim.bench.place import Placement
+from benchsim.render.effects import MRAD, PER_M, value
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
@@ -31,23 +32,20 @@ FIELDS = ("height",)
 
 @dataclass(frozen=True)
 class Surface:
-    """x = distance + slope_y y + slope_z z + ½ (bow_y y² + bow_z z²) + field(y, z), in mm and 1/mm."""
+    """x = ½ (bow_y y² + bow_z z²) + field(y, z), in mm and 1/mm."""
 
-    distance: float = 0.0
-    slope: tuple[float, float] = (0.0, 0.0)
     bow: tuple[float, float] = (0.0, 0.0)
     field: Field | None = None
 
     @property
     def flat(self) -> bool:
         """Whether it is the plane x = 0."""
-        return not (self.distance or any(self.slope) or any(self.bow)) and self.field is None
+        return not any(self.bow) and self.field is None
 
     def smooth(self, y: Any, z: Any) -> tuple[Any, Any, Any]:
         """Height without the field, and its derivatives along y and z; of any kind of array."""
-        (sy, sz), (by, bz) = self.slope, self.bow
-        slope_y, slope_z = sy + by * y, sz + bz * z
-        return self.distance + 0.5 * (y * (sy + slope_y) + z * (sz + slope_z)), slope_y, slope_z
+        slope_y, slope_z = self.bow[0] * y, self.bow[1] * z
+        return 0.5 * (y * slope_y + z * slope_z), slope_y, slope_z
 
     def height(self, y: Any, z: Any) -> Array:
         """Height over the plane [mm] at (y, z) [mm], arrays that broadcast."""
@@ -57,21 +55,30 @@ class Surface:
 
 
 def surface(effects: Effects, fields: Mapping[str, Field]) -> Surface:
-    """The surface of a recording's effects (file units: mm, mrad, 1/m) and height field."""
-    tilt, bow = effects.get("screen-tilt", {}), effects.get("screen-bow", {})
+    """The surface of a recording's effects (file units: 1/m) and height field."""
     return Surface(
-        float(effects.get("screen-distance", {}).get("sx", 0.0)),
-        # st_z is the slope along y, a turn about z; st_y the slope along z.
-        (1e-3 * tilt.get("st_z", 0.0), 1e-3 * tilt.get("st_y", 0.0)),
-        (1e-3 * bow.get("bow_y", 0.0), 1e-3 * bow.get("bow_z", 0.0)),
+        (value(effects, "screen-bow", "bow_y", PER_M), value(effects, "screen-bow", "bow_z", PER_M)),
         fields.get("height"),
     )
 
 
 def turned(placement: Placement, effects: Effects) -> Placement:
-    """The placement with the board, marks and all, turned by ``srot`` about its own x: roll has the same axis."""
-    angle = 1e-3 * effects.get("screen-rotation", {}).get("srot", 0.0)
-    if angle == 0:
+    """The placement with the board, marks and all, moved along x, tilted, and rolled about its own normal.
+
+    The tilt is the turn about an axis in the board's plane that gives it the slopes st_z along y and st_y along z:
+    about +y for the one along z, about −z for the one along y, by the angle whose tangent is the steepest slope.
+    """
+    moved = value(effects, "screen-distance", "sx")
+    roll = value(effects, "screen-rotation", "srot", MRAD)
+    slope_y, slope_z = (value(effects, "screen-tilt", k, MRAD) for k in ("st_z", "st_y"))
+    if not any((moved, roll, slope_y, slope_z)):
         return placement
-    turn = Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix()
-    return replace(placement, screen_rotation=placement.screen_rotation @ turn)
+    steepest = np.hypot(slope_y, slope_z)
+    share = np.arctan(steepest) / steepest if steepest else 1.0
+    tilt = Rotation.from_rotvec([0.0, share * slope_z, -share * slope_y])
+    turn = (tilt * Rotation.from_rotvec([roll, 0.0, 0.0])).as_matrix()
+    return replace(
+        placement,
+        screen_rotation=placement.screen_rotation @ turn,
+        screen_origin=placement.screen_origin + np.array([moved, 0.0, 0.0]),
+    )

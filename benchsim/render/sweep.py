@@ -140,7 +140,9 @@ def sweep(recording: Recording, exposure: Exposure, placement: Placement, lenses
         alpha = (1 - about.beam.direction[2] ** 2) / laser.waist**2
 
         def span(x: Array) -> tuple[float, float]:
-            low, high = float(x[seen].min()), float(x[seen].max())
+            # Where the light falls on the facet is alike for the ghost.
+            x = np.broadcast_to(x, seen.shape)[seen]
+            low, high = float(x.min()), float(x.max())
             pad = 0.01 * (high - low) + 1e-4 * max(abs(low), abs(high))
             return low - pad, high + pad
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import exp, floor, isfinite, log, log10
 from textwrap import fill
 
+from benchsim.bench.units import IN_TEXT
 from benchsim.diagnosis.problem import Effect
 from benchsim.diagnosis.result import Diagnosis, Found, Limit, Size, SplitBy
 from benchsim.report.vocabulary import BENCH, Vocabulary
@@ -128,8 +129,8 @@ def odds(margin: float) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """A pure number has no unit; ``1e-3`` is a factor."""
-    return {"1": "", "1e-3": "×10⁻³"}.get(unit, unit.replace("^2", "²"))
+    """A unit as text shows it; see `bench.units`."""
+    return IN_TEXT.get(unit, unit)
 
 
 def number(n: int, noun: str) -> str:

@@ -92,8 +92,8 @@ class Sight:
 
         Shapes at the nodes of their grids; amplitudes within their caps: what no bench can have is nobody's rival. All
         is linear about the stated bench; but what holds one of two concealed effects has that one where it is, and only
-        the other to imitate. A board tilted by 20 mrad is 31 sigma from its own linearisation, and would count as that
-        far from itself.
+        the other to imitate. A board bowed by 0.2 1/m is 200 sigma from its own linearisation on twelve settings, and
+        would count as that far from itself.
         """
         found = self.nearest(values, concealed)
         return found.names, found.distance

@@ -11,9 +11,12 @@ import pytest
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read
 from benchsim.bench.model import Physics, Recording
+from benchsim.bench.units import IN_TEXT
 from benchsim.diagnosis.problem import Effect
 from benchsim.instruments.bench import effects
 from benchsim.instruments.bench.candidates import candidates, not_judged
+from benchsim.instruments.mount import effects as mount_effects
+from benchsim.instruments.mount.records import UNITS
 
 NAMES = """pivot-offset facets canting axis-tilt azimuth-offset second-surface facet-tilts axis-wobble facet-curvature
 beam-direction beam-offset wavefront-curvature astigmatism coma finite-beam diffraction window window-tilt air-gradient
@@ -145,3 +148,38 @@ def test_the_ray_model_has_every_parameter_of_the_catalogue():
     assert set(EFFECTS) == set(NAMES)
     for e in effects.CATALOGUE:
         assert {t.name for t in effects.terms(e.name, 12)} <= set(EFFECTS[e.name]) | {f"tilt_{k}" for k in range(12)}
+
+
+CONTRACT = """pivot-offset mm canting mrad facet-tilts mrad axis-wobble mrad axis-tilt mrad azimuth-offset mrad
+second-surface mm facet-curvature 1/m beam-direction mrad beam-offset mm wavefront-curvature 1/m astigmatism 1/m
+coma mrad/mm2 facets 1 finite-beam 1 diffraction 1 window mm window-tilt deg air-gradient K/m screen-distance mm
+screen-tilt mrad screen-bow 1/m screen-rotation mrad grid-scale 1e-3 grid-aspect 1e-3 grid-shear 1e-3
+radial-distortion 1 tangential-distortion 1 saturation px drift mm/h""".split()
+MIXED = {
+    "plume": {"plume": "mrad", "plume_y": "mm", "plume_z": "mm", "plume_width": "mm"},
+    "rolling-shutter": {"rs_s": "px", "rs_c": "px", "rs_period": "rows"},
+    "vibration": {"amp": "mm", "freq": "Hz"},
+}
+
+
+def test_units_are_spelled_as_the_table_of_parameters_spells_them(bench):
+    """Effects of one unit by their name, the others number by number; nothing is handed out that the table lacks."""
+    of = dict(zip(CONTRACT[::2], CONTRACT[1::2], strict=True))
+    assert {*of, *MIXED} == set(NAMES)
+    for e in effects.CATALOGUE:
+        for t in e.terms:
+            assert t.unit == (MIXED[e.name][t.name] if e.name in MIXED else of[e.name]), t.name
+        assert {t.unit for t in effects.terms(e.name, 12)} <= set(IN_TEXT)
+    for against in ("bench", "vector"):
+        assert {p.unit for e in candidates(bench, against) for p in e.parameters} <= set(IN_TEXT)
+
+
+def test_mounts_hand_out_units_of_the_table():
+    terms = [t for e in mount_effects.CATALOGUE for t in e.terms]
+    assert {t.unit for t in terms} - {mount_effects.ANGLE} <= set(IN_TEXT)
+    assert {"mrad", "arcsec"} <= set(IN_TEXT) and set(UNITS) - {"rad"} <= set(IN_TEXT)
+
+
+def test_text_shows_no_caret_and_files_hold_plain_letters():
+    for unit, text in IN_TEXT.items():
+        assert unit.isascii() and "^" not in unit + text

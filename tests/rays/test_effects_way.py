@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from benchsim.bench.fields import field
 from benchsim.bench.model import Physics
-from benchsim.bench.place import SettingErrors
+from benchsim.bench.place import SettingErrors, place
 from benchsim.rays import air, predict, screen
 from benchsim.rays.prediction import bench_of
 from benchsim.rays.profile import adaptive
@@ -144,67 +144,112 @@ SURFACE = {
     "screen-distance": {"sx": 5.0},
     "screen-tilt": {"st_y": 8.0, "st_z": -6.0},
     "screen-bow": {"bow_y": 0.1, "bow_z": -0.15},
+    "screen-rotation": {"srot": 11.0},
 }
 
 
-def height(y, z):
-    """SURFACE in mm, written out."""
-    return 5.0 - 6e-3 * y + 8e-3 * z + 0.5 * (0.1e-3 * y**2 - 0.15e-3 * z**2)
+def about(axis, angle):
+    """Matrix of a turn about a unit vector, by Rodrigues' formula."""
+    x, y, z = axis
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
-def test_light_lands_on_the_surface(lab):
-    """The pencil's rays, by hand: the point of the surface at (y, z) lies on the ray of its phase."""
-    curve = lab.trace(SURFACE, physics=lab.pencil)
-    p = lab.placement
-    for phase, (y, z) in zip(curve.phase, curve.points, strict=True):
+def tilt(st_y, st_z):
+    """Axis and angle of the smallest turn of the plane x = 0 to x = 1e-3 (st_z y + st_y z)."""
+    normal = np.array([1.0, -1e-3 * st_z, -1e-3 * st_y])
+    axis = np.cross([1.0, 0.0, 0.0], normal)
+    return axis / np.linalg.norm(axis), np.arctan2(np.linalg.norm(axis), normal[0])
+
+
+def rays_by_hand(lab, p, phases):
+    """Points and directions of the pencil's rays off the cylinder."""
+    for phase in phases:
         n = np.cos(phase) * p.normal + np.sin(phase) * np.cross(p.axis, p.normal)
         x = p.centre + lab.recording.mirror.radius * n
-        out = p.laser_direction - 2 * (p.laser_direction @ n) * n
-        point = p.screen_origin + p.screen_rotation @ np.array([height(y, z), y, z])
-        np.testing.assert_allclose(np.cross(point - x, out), 0.0, atol=1e-6)
+        yield x, p.laser_direction - 2 * (p.laser_direction @ n) * n
 
 
-def test_surface_rolls_with_the_board(lab):
-    """A board rolled by 180° with its bow: the same hits as of the unrolled board with y and z reversed."""
-    rolled = replace(lab.exposure, screen_roll=np.pi)
-    p = bench_of(lab.recording, rolled, lab.off).placement
-    curve = lab.trace(SURFACE, physics=lab.pencil, exposure=rolled)
-    for phase, (y, z) in zip(curve.phase[::6], curve.points[::6], strict=True):
-        n = np.cos(phase) * p.normal + np.sin(phase) * np.cross(p.axis, p.normal)
-        x = p.centre + lab.recording.mirror.radius * n
-        out = p.laser_direction - 2 * (p.laser_direction @ n) * n
-        point = p.screen_origin + p.screen_rotation @ np.array([height(y, z), y, z])
-        np.testing.assert_allclose(np.cross(point - x, out), 0.0, atol=1e-6)
+@pytest.mark.parametrize("roll", [0.0, np.pi, 0.4])
+def test_light_lands_on_the_turned_board(lab, roll):
+    """The pencil's rays, by hand: the board's point (y, z), moved, tilted, rolled and bowed, lies on its phase's ray.
+
+    The known roll takes the tilt with it; ``srot`` turns the board in its own plane.
+    """
+    exposure = replace(lab.exposure, screen_roll=roll)
+    p = place(lab.recording.mirror, exposure, lab.off)
+    curve = lab.trace(SURFACE, physics=lab.pencil, exposure=exposure)
+    frame = p.screen_rotation @ about(*tilt(8.0, -6.0)) @ about((1.0, 0.0, 0.0), 11e-3)
+    for (x, out), (y, z) in zip(rays_by_hand(lab, p, curve.phase), curve.points, strict=True):
+        raised = 0.5 * (0.1e-3 * y**2 - 0.15e-3 * z**2)
+        point = p.screen_origin + [5.0, 0.0, 0.0] + frame @ np.array([raised, y, z])
+        np.testing.assert_allclose(np.cross(point - x, out / np.linalg.norm(out)), 0.0, atol=1e-6)
+
+
+def test_light_meets_the_plane_that_the_tilt_names(lab):
+    """x = sx + st_z y + st_y z in the world, intersected with no frame of the board's; distances on it are kept.
+
+    Expectation: 1e-6 mm for the board seated as stated.
+    """
+    effects = {"screen-distance": {"sx": 5.0}, "screen-tilt": {"st_y": 8.0, "st_z": -6.0}}
+    curve = lab.trace(effects, physics=lab.pencil, errors=None)
+    p = place(lab.recording.mirror, lab.exposure)
+    slope = np.array([1.0, 6e-3, -8e-3])
+    hits = []
+    for x, out in rays_by_hand(lab, p, curve.phase):
+        hits.append(x + (5.0 - slope @ x) / (slope @ out) * out)
+    hits = np.array(hits)
+    centre = np.linalg.norm(hits - [5.0, 0.0, 0.0], axis=1)
+    np.testing.assert_allclose(np.linalg.norm(curve.points, axis=1), centre, atol=1e-6)
+    apart = np.linalg.norm(hits[:, None] - hits[None], axis=2)
+    np.testing.assert_allclose(np.linalg.norm(curve.points[:, None] - curve.points[None], axis=2), apart, atol=1e-6)
+    # No turn within the plane: where the tilt's axis cuts the board, board and world coincide.
+    axis = np.array([0.0, 8.0, 6.0]) / 10.0
+    np.testing.assert_allclose(curve.points @ axis[1:], hits @ axis, atol=1e-6)
 
 
 def test_height_field_is_the_surface(lab):
-    """A parabola on knots 4 mm apart is met to ½ κ (4/2)² ≈ 3e-4 mm of height; a plane exactly."""
+    """A parabola on knots 4 mm apart is met to ½ κ (4/2)² ≈ 3e-4 mm of height; a plane exactly, seen along x."""
     k = np.linspace(-400, 400, 201)
     y, z = np.meshgrid(k, k, indexing="ij")
-    by_name = lab.trace(SURFACE)
-    assert np.abs(lab.apart(by_name, lab.trace(fields={"height": field([k, k], height(y, z)[None])}))[0]).max() < 1e-3
+    raised = 0.5 * (0.1e-3 * y**2 - 0.15e-3 * z**2)
+    by_name = lab.trace({"screen-bow": SURFACE["screen-bow"]})
+    assert np.abs(lab.apart(by_name, lab.trace(fields={"height": field([k, k], raised[None])}))[0]).max() < 1e-3
     two = np.array([-400.0, 400.0])
-    plane = field([two, two], (7.0 + 3e-3 * two[:, None] - 2e-3 * two[None, :])[None])
-    named = {"screen-distance": {"sx": 7.0}, "screen-tilt": {"st_z": 3.0, "st_y": -2.0}}
-    np.testing.assert_allclose(lab.trace(named).points, lab.trace(fields={"height": plane}).points, atol=1e-8)
+    plane = field([two, two], (3e-3 * two[:, None] - 2e-3 * two[None, :])[None])
+    seen = lab.trace(fields={"height": plane}, physics=lab.pencil)
+    turned = lab.trace({"screen-tilt": {"st_z": 3.0, "st_y": -2.0}}, physics=lab.pencil)
+    raised = np.column_stack([seen.points @ [3e-3, -2e-3], seen.points])
+    along = (raised @ about(*tilt(-2.0, 3.0)))[:, 1:]
+    assert np.abs(lab.apart(turned, replace(seen, points=along))[0]).max() < 1e-6
+
+
+@pytest.mark.parametrize("physics", [Physics(), Physics(False, False, False)], ids=["whole", "pencil"])
+@pytest.mark.parametrize("roll", [0.0, np.pi, 0.4])
+def test_tilt_is_a_turn_of_the_board(lab, roll, physics):
+    """A tilt is the re-seating turn about the same axis, and with the opposite one nothing is left, 1e-9 mm."""
+    exposure = replace(lab.exposure, screen_roll=roll)
+    axis, angle = tilt(12.0, -17.0)
+    world = about((1.0, 0.0, 0.0), roll) @ axis * angle
+    tilted = {"screen-tilt": {"st_y": 12.0, "st_z": -17.0}}
+    same = {"physics": physics, "exposure": exposure}
+    named, seated = lab.trace(tilted, errors=None, **same), lab.trace(errors=SettingErrors(screen_angle=world), **same)
+    lab.same(named, seated, 1e-9)
+    both = lab.trace(tilted, errors=SettingErrors(screen_angle=-world), **same)
+    neither = lab.trace(errors=None, **same)
+    lab.same(both, neither, 1e-9)
+    assert np.abs(lab.apart(neither, named)[0]).max() > 0.3
 
 
 def test_distance_and_rotation_are_the_boards(lab):
-    """Of a screen seated as stated: distance is its shift along x, rotation its turn about x."""
-    errors = replace(lab.off, screen_position=np.array([12.0, 0, 0]), screen_angle=np.array([9e-3, 0, 0]))
-    expected = predict(lab.recording, lab.exposure, errors, 24)
-    got = lab.trace({"screen-distance": {"sx": 12.0}, "screen-rotation": {"srot": 9.0}})
-    lab.same(got, expected, 1e-8)
-
-
-def test_tilt_is_a_turn_of_the_board(lab):
-    """st_z = tan of the turn about z (a slope along y): hits of the turned board, carried over by its cosine."""
-    turn = np.arctan(10e-3)
-    errors = SettingErrors(screen_angle=np.array([0.0, 0.0, -turn]))
-    turned = lab.trace(errors=errors, physics=lab.geometric)
-    tilted = lab.trace({"screen-tilt": {"st_z": 10.0}}, errors=None, physics=lab.geometric)
-    moved = replace(turned, points=turned.points * [np.cos(turn), 1.0])
-    assert np.abs(lab.apart(moved, tilted)[0]).max() < 1e-5
+    """Distance is a shift along x, however the board is seated; rotation, of one seated as stated, its turn about x."""
+    errors = replace(lab.off, screen_angle=np.array([2e-3, -5e-3, 4e-3]))
+    moved = replace(errors, screen_position=np.array([12.0, 0, 0]))
+    expected = predict(lab.recording, lab.exposure, moved, 24)
+    lab.same(lab.trace({"screen-distance": {"sx": 12.0}}, errors=errors), expected, 1e-9)
+    turned = replace(lab.off, screen_angle=np.array([9e-3, 0, 0]))
+    expected = predict(lab.recording, lab.exposure, turned, 24)
+    lab.same(lab.trace({"screen-rotation": {"srot": 9.0}}), expected, 1e-9)
 
 
 def test_drift_goes_by_the_hours(lab):

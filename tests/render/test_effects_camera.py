@@ -68,6 +68,27 @@ def standing() -> Placement:
     return place(Mirror(), EXPOSURE, errors)
 
 
+def stands_turned(sx, st_y, st_z, srot):
+    """Axes of the rigid board in the world, written out, and its centre.
+
+    Seen along its own normal it is turned by ``srot``. Its plane x = st_z y + st_y z is reached by a turn about the
+    line in which that meets the plane as it was.
+    """
+    placement, a = standing(), 1e-3 * srot
+    rolled = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    fall = 1e-3 * np.array([0.0, st_z, st_y])
+    steep = np.linalg.norm(fall)
+    tilted = np.eye(3)
+    if steep:
+        # The line of steepest rise, the level line, and the normal: each is turned into what it becomes.
+        rise, c = fall / steep, 1 / np.hypot(1, steep)
+        level = np.cross([1.0, 0, 0], rise)
+        before = np.stack([[1.0, 0, 0], rise, level])
+        after = np.stack([c * (np.array([1.0, 0, 0]) - fall), c * np.array([steep, *rise[1:]]), level])
+        tilted = after.T @ before
+    return placement.screen_rotation @ tilted @ rolled, placement.screen_origin + np.array([sx, 0.0, 0.0])
+
+
 def seen(y, z, effects=None, fields=(), *, on_paper=False, scale=1.0):
     """Pixels of points of the board, written out from the table of effects; free fields by their names, times scale."""
     e = {k: v for table in (effects or {}).values() for k, v in table.items()}
@@ -83,12 +104,11 @@ def seen(y, z, effects=None, fields=(), *, on_paper=False, scale=1.0):
             else (0, 0)
         )
         y, z = (1 + gs + ga) * y + gsh * z + dy, (1 + gs - ga) * z + gsh * y + dz
-    x = e["sx"] + 1e-3 * (e["st_z"] * y + e["st_y"] * z) + 0.5e-3 * (e["bow_y"] * y**2 + e["bow_z"] * z**2)
+    x = 0.5e-3 * (e["bow_y"] * y**2 + e["bow_z"] * z**2)
     if "height" in fields:
         x = x + bilinear(HEIGHT, scale * HEIGHT_MM, y, z)
-    a, placement = 1e-3 * e["srot"], standing()
-    board = np.stack([x, y * np.cos(a) - z * np.sin(a), y * np.sin(a) + z * np.cos(a)], axis=-1)
-    world = placement.screen_origin + board @ placement.screen_rotation.T
+    turn, origin = stands_turned(e["sx"], e["st_y"], e["st_z"], e["srot"])
+    world = origin + np.stack([x, y, z], axis=-1) @ turn.T
     rotation, translation = camera_pose(CAMERA)
     in_camera = world.reshape(-1, 3) @ rotation.T + translation
     (cx, cy), f, zero = CAMERA.principal_point, CAMERA.focal, np.zeros(3)
@@ -122,14 +142,11 @@ def free(name, scale):
 
 def ray_model(points, effects, fields, *, printed=False):
     """Pixels that `rays.see` gives; a shift or turn of the board as a whole is a matter of the pose."""
-    placement, (rotation, translation) = standing(), camera_pose(CAMERA)
-    a = 1e-3 * effects.get("screen-rotation", {}).get("srot", 0.0)
-    turn = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
-    board = rotation @ placement.screen_rotation @ turn
-    origin = rotation @ placement.screen_origin + translation
-    origin = origin + effects.get("screen-distance", {}).get("sx", 0.0) * board[:, 0]
+    rotation, translation = camera_pose(CAMERA)
+    of_board = {"sx": "screen-distance", "st_y": "screen-tilt", "st_z": "screen-tilt", "srot": "screen-rotation"}
+    turn, origin = stands_turned(*(effects.get(name, {}).get(key, 0.0) for key, name in of_board.items()))
     true = bench(stands(), effects=effects, fields=fields)
-    return rays.see(true, CAMERA, board, origin, points, printed=printed)
+    return rays.see(true, CAMERA, rotation @ turn, rotation @ origin + translation, points, printed=printed)
 
 
 def moments(places, weight):
@@ -159,7 +176,7 @@ def mapped(points, weight, effects, fields, *, printed=False):
 def blob(spot, effects, fields):
     """`moments` of a blob's light as the ray model sees it.
 
-    Sloping paper shows the light by its cosine, which the ray model leaves out: 2e-4 of the flux at a tilt of 20 mrad.
+    Sloping paper shows the light by its cosine, which the ray model leaves out: 2e-4 of the flux at a slope of 20 mrad.
     """
     q, h = np.linspace(-5, 5, 61) * SIGMA, 1e-2
     points = np.array(spot) + np.stack(np.meshgrid(q, q), axis=-1).reshape(-1, 2)
@@ -261,12 +278,43 @@ def test_effects_act_together(light, plain_light):
     as_wide_and_bright(picture.laser, plain_light, OF_LIGHT, {})
 
 
-def test_a_tilted_board_shows_the_same_light_on_more_paper(light):
-    """Light per area of the paper, not of the plane: radiance falls by the cosine of a slope (exaggerated here)."""
+def test_a_sloping_surface_shows_the_same_light_on_more_paper(light):
+    """Light per area of the paper, not of the plane: radiance falls by the cosine of a slope (exaggerated here).
+
+    A board that is turned as a whole has its map along itself: there is nothing to lose.
+    """
     plain = photograph(SCREEN, CAMERA, light, placement=standing())
-    steep = photograph(SCREEN, CAMERA, light, placement=standing(), effects={"screen-tilt": {"st_z": 300.0}})
-    ratio = steep.laser.max() / plain.laser.max()
-    assert ratio == pytest.approx(1 / np.hypot(1, 0.3), rel=0.02)
+    k = np.array([-300.0, 300.0])
+    rising = {"height": field([k, k], (0.3 * k[:, None] + 0.0 * k)[None])}
+    for expected, more in (
+        (1 / np.hypot(1, 0.3), {"fields": rising}),
+        (1.0, {"effects": {"screen-tilt": {"st_z": 300.0}}}),
+    ):
+        steep = photograph(SCREEN, CAMERA, light, placement=standing(), **more)
+        assert steep.laser.max() / plain.laser.max() == pytest.approx(expected, rel=0.02)
+
+
+def test_a_turned_board_shows_nothing_of_it():
+    """Marks of a board turned by tilt and roll, and moved along x: the solved pose leaves no residual.
+
+    Expectation: edges of the printed squares, and so the corners, are those of a plane: 0.01 px, which is what the
+    squares of the board as it is stated leave.
+    """
+    effects = {
+        "screen-tilt": {"st_y": 18.0, "st_z": -14.0},
+        "screen-rotation": {"srot": 9.0},
+        "screen-distance": {"sx": 6.0},
+    }
+    y, z = np.array([c for c in MARKED.marks.centres]).T
+    board = np.column_stack([np.zeros(len(y)), y, z])
+    picture = photograph(MARKED, CAMERA, None, placement=standing(), effects=effects)
+    assert np.abs(misses(picture, effects=effects)).mean() < 0.01
+    (cx, cy), f = CAMERA.principal_point, CAMERA.focal
+    lens = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1.0]])
+    pixels, distortion = seen(y, z, effects), np.array(CAMERA.distortion)
+    found, turn, shift = cv2.solvePnP(board, pixels, lens, distortion)
+    turn, shift = cv2.solvePnPRefineLM(board, pixels, lens, distortion, turn, shift)
+    assert found and np.abs(cv2.projectPoints(board, turn, shift, lens, distortion)[0][:, 0] - pixels).max() < 1e-4
 
 
 @pytest.mark.parametrize("scale", [0.2, 1.0])

@@ -247,7 +247,7 @@ def test_with_less_physics(physics):
     assert agree(own, **physics) > 5
 
 
-@pytest.mark.parametrize("glass", [0.5, 4.0])
+@pytest.mark.parametrize("glass", [0.5, 2.0])
 def test_second_surface(glass, monkeypatch):
     """The coating's light and the front face's ghost, each against the ray model's; the ghost's flux too.
 
@@ -267,7 +267,7 @@ def test_second_surface(glass, monkeypatch):
     assert 0.03 < np.median(ghost.flux) / np.median(main.flux) < 0.12
 
 
-@pytest.mark.parametrize("glass", [2.5, 5.0])
+@pytest.mark.parametrize("glass", [1.0, 2.0])
 @pytest.mark.parametrize("share", [pytest.param(-1.0, id="coating"), pytest.param(2.0, id="ghost")])
 def test_second_surface_with_diffraction(share, glass, monkeypatch):
     """The front face stands where it does whatever the glass, and the beam is as far off its middle as it is there."""
@@ -285,10 +285,10 @@ def test_second_surface_with_diffraction(share, glass, monkeypatch):
 @pytest.mark.parametrize(
     ("scene", "number", "glass"),
     [
-        ("fig7a", 0, 2.5),
-        ("fig7a", 0, 5.0),
-        ("campaign12", 3, 2.5),
-        ("campaign12", 3, 5.0),
+        ("fig7a", 0, 1.0),
+        ("fig7a", 0, 2.0),
+        ("campaign12", 3, 1.0),
+        ("campaign12", 3, 2.0),
     ],
 )
 def test_the_ghost_pulls_the_line_as_the_ray_model_says(scene, number, glass, monkeypatch):

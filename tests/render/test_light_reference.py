@@ -90,7 +90,8 @@ def test_the_comparison_sees_a_tenth_of_a_pixel(rendered):
 
 
 def test_effects_that_place_and_turn_are_the_same_picture():
-    """Facets that lean, further from an axis that is tilted, under a beam beside its aim: Mitsuba's own shapes.
+    """Facets that lean, further from a tilted axis, under a beam beside its aim, before a board that is turned and
+    moved: Mitsuba's own shapes.
 
     Expectation: as above without effects, no pixel differs at a false-alarm rate of 1 % for the picture; against a
     beam that differs by 0.1 mrad it does.
@@ -102,6 +103,8 @@ def test_effects_that_place_and_turn_are_the_same_picture():
         "axis-tilt": {"ped_x": 1.0},
         "beam-offset": {"bu": 1.0, "bv": -0.5},
         "screen-rotation": {"srot": 5.0},
+        "screen-tilt": {"st_y": 15.0, "st_z": -18.0},
+        "screen-distance": {"sx": 4.0},
     }
     recording = replace(close_up(), effects=own)
     xml = reference.scene_xml(recording, recording.exposures[0])

@@ -21,12 +21,13 @@ from scipy.interpolate import CubicSpline
 
 from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.fields import field
-from benchsim.bench.place import Placement, place
+from benchsim.bench.place import Placement
 from benchsim.diagnosis.problem import Attachment
 from benchsim.instruments.bench import chain
 from benchsim.instruments.bench.amend import summed
 from benchsim.instruments.bench.blocks import Block, size
 from benchsim.instruments.bench.prediction import Predict
+from benchsim.rays.prediction import bench_of
 from benchsim.trace.pose import Pose, pose_derivatives
 
 Array = NDArray[np.float64]
@@ -62,6 +63,7 @@ class Local:
     corners_board, corners_pixel, corners_by_board, corners_by_height : (4 m, …)
         The same of the marks' corners.
     placement : Placement
+        With what the simulation in doubt has moved and turned.
     """
 
     block: Block
@@ -135,7 +137,7 @@ def local(predict: Predict, index: int) -> Local:
     pose = _pose(seen)
     pixel, by_pose = pose_derivatives(pose, board)
     by_x = by_pose[..., 3:] @ seen.rotation
-    placement = place(truth.mirror, exposure)
+    placement = bench_of(truth, exposure).placement
     world = placement.screen_origin + board @ placement.screen_rotation[:, 1:].T
     way = world - placement.centre
     inside = way @ placement.screen_rotation

@@ -1,7 +1,8 @@
 """From the true board to the coordinates in which a trace was measured, by way of a pose that the marks fix.
 
-A trace's board coordinates are read with the stated camera from a pose that the marks were solved for. If lens, print
-or board are not as stated, that pose P̂ is not the true one T, and the marks leave residuals. With `rays.see` as the
+A trace's board coordinates are read with the stated camera from a pose that the marks were solved for. A board that is
+moved, tilted or rolled as a whole takes the pose with it, and nothing of that is seen. If lens, print or the board's
+surface are not as stated, that pose P̂ is not the true one T, and the marks leave residuals. With `rays.see` as the
 true camera before the true board, T is the pose for which the marks as they are seen would be solved to P̂:
 
     Jᵀ W (see(T, marks) − stated(P̂, marks)) = 0,    J = ∂ stated/∂ pose at P̂,  W the weights of the solution,
@@ -28,7 +29,7 @@ from benchsim.trace.pose import Pose, pose_derivatives, to_pixels
 
 Array = NDArray[np.float64]
 
-BOARD_EFFECTS = ("screen-tilt", "screen-bow")
+BOARD_EFFECTS = ("screen-bow",)
 BOARD_FIELDS = ("pixel", "brightness", "height", "shift")
 
 STEPS = 4

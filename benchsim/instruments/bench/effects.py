@@ -28,7 +28,7 @@ class Term:
     Attributes
     ----------
     name, unit : str
-        As in the recording's ``[effects]``.
+        As in the recording's ``[effects]``; the unit as `bench.units` spells it.
     cap : float
         Largest plausible magnitude; an amplitude's prior is N(0, (cap/2)²), half of it where ``one_sided``.
     one_sided : bool
@@ -156,7 +156,7 @@ CATALOGUE: tuple[Entry, ...] = (
     Entry(
         "second-surface",
         "mirror",
-        (Term("glass", "mm", 5.0, one_sided=True),),
+        (Term("glass", "mm", 2.0, one_sided=True),),
         "The coating lies behind glass, which displaces the light and sends a ghost from its front face.",
         "Use a first-surface mirror, or state the glass.",
         "refraction at a plane plate, n = 1.515 (BK7 at 633 nm)",
@@ -207,7 +207,7 @@ CATALOGUE: tuple[Entry, ...] = (
     Entry(
         "coma",
         "source",
-        (Term("coma_u", "mrad/mm^2", 0.1), Term("coma_v", "mrad/mm^2", 0.1)),
+        (Term("coma_u", "mrad/mm2", 0.1), Term("coma_v", "mrad/mm2", 0.1)),
         "The expander is decentred: directions over the beam follow the gradient of Zernike's coma.",
         "Centre the expander's lenses on each other.",
         "gradient of r³ cos φ (Born & Wolf, ch. 9)",
@@ -283,7 +283,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "screen-tilt",
         "screen",
         (Term("st_y", "mrad", 20.0), Term("st_z", "mrad", 20.0)),
-        "The screen is not square to x.",
+        "The screen is turned about its centre out of the plane square to x.",
         "Square the screen with a mirror on it that sends light from the rotation's centre back.",
         _GEOMETRY,
     ),
