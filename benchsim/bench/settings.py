@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.bench.model import Exposure, Uncertainty
+from benchsim.bench.model import Exposure, Recording, Uncertainty
 from benchsim.bench.place import SettingErrors
 
 NAMES = (
@@ -69,6 +69,11 @@ def scaled(uncertainty: Uncertainty, factor: float) -> Uncertainty:
         screen_position=u.screen_position * factor,
         screen_angle=u.screen_angle * factor,
     )
+
+
+def uncertainty_of(recording: Recording) -> Uncertainty:
+    """How far off settings are: as stated, times the scale of the effect ``setting-errors`` where the file has it."""
+    return scaled(recording.uncertainty, recording.effects.get("setting-errors", {}).get("scale", 1.0))
 
 
 def screen_seats(exposures: Sequence[Exposure]) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ from benchsim.bench.curve import signed_distance
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Mirror, Recording
 from benchsim.bench.place import place
-from benchsim.bench.settings import from_vector, prior_sigma
+from benchsim.bench.settings import from_vector, prior_sigma, uncertainty_of
 from benchsim.intake.finding import Finding, Kind
 
 Array = NDArray[np.float64]
@@ -119,7 +119,7 @@ def _slip(recording: Recording, exposure: Exposure, line: Array, reseated: bool)
 
 def _agrees(recording: Recording, mirror: Mirror, exposure: Exposure, line: Array, reseated: bool) -> bool:
     """Whether setting errors of the stated size put the trace where the line is."""
-    prior = prior_sigma(recording.uncertainty, reseated=reseated)
+    prior = prior_sigma(uncertainty_of(recording), reseated=reseated)
     off = _off(recording, mirror, exposure, line)
     covariance = MODEL**2 * np.eye(len(off))
     for k in np.flatnonzero(prior > 0):

@@ -17,7 +17,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, sources
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import place
-from benchsim.bench.settings import NAMES, from_vector, prior_sigma, screen_seats
+from benchsim.bench.settings import NAMES, from_vector, prior_sigma, screen_seats, uncertainty_of
 from benchsim.bench.writing import write_text
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
@@ -242,7 +242,7 @@ def _fit_cone(
     recording: Recording, exposure: Exposure, reseated: bool, points: Array, sigma: Array, shared: Array
 ) -> conics.SectionFit | None:
     """The bench's own cone through a trace, its setting errors within their priors; None where none may vary."""
-    prior = prior_sigma(recording.uncertainty, reseated=reseated)
+    prior = prior_sigma(uncertainty_of(recording), reseated=reseated)
     free = np.flatnonzero(prior > 0)
     if not len(free):
         return None

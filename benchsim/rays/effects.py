@@ -23,8 +23,10 @@ EFFECTS: Mapping[str, tuple[str, ...]] = {
     **screen.EFFECTS,
     **camera.EFFECTS,
     **timing.EFFECTS,
+    "setting-errors": ("scale",),
 }
-"""Every effect that the ray model has, with its parameters as the recording's ``[effects]`` names them."""
+"""Every effect that the ray model has, with its parameters as the recording's ``[effects]`` names them. Setting errors
+move no light by themselves: they say how far off the settings may be (`bench.settings.uncertainty_of`)."""
 
 
 @dataclass(frozen=True, eq=False)

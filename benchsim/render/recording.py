@@ -14,7 +14,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import write
 from benchsim.bench.model import Camera, Exposure, Laser, Recording
 from benchsim.bench.place import Placement, SettingErrors, camera_pose, place
-from benchsim.bench.settings import OF_THE_SEAT, OF_THE_SETTING, from_vector, prior_sigma, screen_seats
+from benchsim.bench.settings import OF_THE_SEAT, OF_THE_SETTING, from_vector, prior_sigma, screen_seats, uncertainty_of
 from benchsim.render.expander import ExpandedBeam, check_against_laser, expand
 from benchsim.render.irradiance import ScreenMap, irradiance
 from benchsim.render.motion import TIMED
@@ -29,6 +29,9 @@ from the marks, so this says only that nobody may rely on the nominal one."""
 
 POSE_ANGLE = 2.0e-3
 """1 sigma of the camera's turn about each of its axes in every exposure [rad]."""
+
+
+EFFECTS = {"setting-errors": ("scale",)}
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ def draw_errors(recording: Recording, rng: np.random.Generator) -> tuple[Setting
         In file order.
     """
     seats = screen_seats(recording.exposures)
-    sigma = prior_sigma(recording.uncertainty, reseated=True)
+    sigma = prior_sigma(uncertainty_of(recording), reseated=True)
     of_setting, of_seat = sigma[OF_THE_SETTING], sigma[OF_THE_SEAT]
     settings = {
         name: of_setting * rng.standard_normal(len(of_setting))

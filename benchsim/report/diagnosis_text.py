@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, floor, isfinite, log, log10
@@ -10,6 +11,7 @@ from textwrap import fill
 from benchsim.bench.units import IN_TEXT
 from benchsim.diagnosis.problem import Effect
 from benchsim.diagnosis.result import Diagnosis, Found, Limit, Size, SplitBy
+from benchsim.report.conclusion import CONFIDENCE, headline, leftover, listed
 from benchsim.report.vocabulary import BENCH, Vocabulary
 
 WIDTH = 100
@@ -151,36 +153,16 @@ def _item(text: str) -> str:
 
 
 def _headline(d: Diagnosis, words: Vocabulary) -> str:
-    names = listed([f.name for f in d.effects])
-    match d.verdict:
-        case "nothing-missing":
-            text = f"NOTHING IS MISSING that these {words.recordings} could show. "
-            text += "What would have been seen is listed below."
-        case "named":
-            count = "they have names" if len(d.effects) > 1 else "it has a name"
-            text = f"SOMETHING IS MISSING from the simulation, and {count}: {names}."
-        case "class":
-            text = f"SOMETHING IS MISSING from the simulation, and these {words.recordings} leave a choice of what "
-            text += "it is"
-            text += f"; {names} is there in any case." if names else "."
-        case "located":
-            assert d.location is not None
-            text = f"SOMETHING IS MISSING from the simulation. It sits in the {d.location.element}, and no effect of "
-            text += "the catalogue explains it" + (f" besides {names}." if names else ".")
-        case _:
-            text = "SOMETHING IS MISSING from the simulation, and neither its name nor its place can be told"
-            text += f"; {names} explains a part of it." if names else "."
-    return _wrapped(text)
-
-
-def listed(names: Sequence[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+    """The verdict, its first words in capitals: the eye is to find it."""
+    plain = d.as_dict()
+    first, rest = re.split(r"(?<=missing)|(?<=settings)", headline(plain, words), maxsplit=1)
+    tail = " What would have been seen is listed below." if d.verdict == "nothing-missing" else ""
+    left = leftover(plain, words)
+    return _wrapped(first.upper() + rest + tail + (f" {left}" if left else ""))
 
 
 def _found(f: Found, words: Vocabulary) -> str:
-    sure = "named" if f.confidence == "named" else "probable, not certain"
-    lines = [f"{f.name} ({f.element}; {sure}, probability {percent(f.probability)})"]
+    lines = [f"{f.name} ({f.element}; {CONFIDENCE[f.confidence]}; probability {percent(f.probability)})"]
     lines.append(_wrapped(f.says, "  "))
     sizes = [f"{name} = {rounded(size)}" for name, size in f.parameters.items()]
     lines.append(_wrapped("Size: " + ", ".join(sizes) + " (1 sigma).", "  "))
@@ -336,9 +318,9 @@ def _limits(d: Diagnosis, about: About) -> Iterator[str]:
     """All of them where nothing was found; else those that could not be seen at all, and those of physics that the
     simulation leaves out as a whole: whoever puts it in doubt asks after each of them."""
     seen = {k: v for k, v in d.limits.items() if v.reachable}
-    blind = {k: v for k, v in d.limits.items() if not v.reachable}
+    open_ = {*(f.name for f in d.effects), *(name for c in d.classes for member in c.members for name in member)}
+    blind = {k: v for k, v in d.limits.items() if not v.reachable and k.split(".")[0] not in open_}
     if d.verdict != "nothing-missing":
-        open_ = {*(f.name for f in d.effects), *(name for c in d.classes for member in c.members for name in member)}
         whole = {e.name for e in about.catalogue if e.whole} - open_
         seen = {k: v for k, v in seen.items() if k.split(".")[0] in whole}
     if d.verdict == "nothing-missing" and seen:
@@ -385,10 +367,6 @@ def limit_rows(limits: Mapping[str, Limit]) -> list[str]:
 
 def _settings(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     text = []
-    if d.setting_scale > 1.5 and words is BENCH:
-        text.append(
-            f"The settings were off by about {d.setting_scale:.1f} times what the file states as their uncertainty."
-        )
     if d.sigma_scale > 1.15:
         text.append(f"The noise is {d.sigma_scale:.2f} times {words.noise}.")
     if d.correlation > 0:

@@ -7,10 +7,10 @@ from math import inf, log10
 from typing import Any
 
 from benchsim.diagnosis.result import Size
+from benchsim.report.conclusion import CONFIDENCE, SETTINGS, headline, leftover, listed
 from benchsim.report.diagnosis_text import (
     OVERSTATED,
     SIMULATION,
-    listed,
     number,
     odds,
     percent,
@@ -24,7 +24,7 @@ from benchsim.report.vocabulary import BENCH, Vocabulary, of
 
 Json = Mapping[str, Any]
 
-ELEMENTS = ("source", "mirror", "air", "screen", "camera", "time")
+ELEMENTS = ("source", "mirror", "air", "screen", "camera", "time", "settings")
 """In the order of the light; others follow in the order in which they come."""
 
 PRIOR, PROBABLE, NAMED = 0.02, 0.9, 0.99
@@ -42,13 +42,14 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
         ``page.json``.
     """
     says = {e["name"]: e["says"] for e in extra["catalogue"]}
-    limits = list(d["limits"].items())
+    open_ = {*(f["name"] for f in d["effects"]), *(n for c in d["classes"] for m in c["members"] for n in m)}
+    limits = [(k, v) for k, v in d["limits"].items() if v["reachable"] or k.split(".")[0] not in open_]
     words = of(extra)
     count = f"{number(len(extra['exposures']), 'exposure')} of {number(extra['settings'], 'setting')}"
     if words is not BENCH:
         count = number(extra["settings"], words.one)
     return {
-        "headline": _headline(d, words),
+        "headline": " ".join(t for t in (headline(d, words), leftover(d, words)) if t),
         "basis": f"{count}, against {SIMULATION.get(d['against'], d['against'])}.",
         "remedy": words.remedy,
         "told": words,
@@ -62,27 +63,6 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
         "blind": [(k.split(".")[0], v) for k, v in limits if not v["reachable"]],
         "notes": [*d["remarks"], *d["notes"]],
     }
-
-
-def _headline(d: Json, words: Vocabulary) -> str:
-    names = listed([f["name"] for f in d["effects"]])
-    besides = f" {names[0].upper()}{names[1:]} is there in any case." if names else ""
-    match d["verdict"]:
-        case "nothing-missing":
-            return f"Nothing is missing that these {words.recordings} could show."
-        case "named":
-            count = "they have names" if len(d["effects"]) > 1 else "it has a name"
-            return f"Something is missing from the simulation, and {count}: {names}."
-        case "class":
-            choice = f"these {words.recordings} leave a choice of what it is"
-            return f"Something is missing from the simulation; {choice}.{besides}"
-        case "located":
-            more = f" besides {names}" if names else ""
-            element = d["location"]["element"]
-            return f"Something is missing in the {element}, and no effect of the catalogue explains it{more}."
-        case _:
-            part = f" {names[0].upper()}{names[1:]} explains a part of it." if names else ""
-            return f"Something is missing from the simulation; neither its name nor its place can be told.{part}"
 
 
 def _where(d: Json, words: Vocabulary) -> str:
@@ -139,8 +119,6 @@ def _chi2(x: float) -> str:
 
 def _settings(d: Json, words: Vocabulary) -> list[str]:
     noise, out = d["noise"], []
-    if noise["setting_scale"] > 1.5 and words is BENCH:
-        out.append(f"The settings were off by about {noise['setting_scale']:.1f} times their stated uncertainty.")
     if noise["sigma_scale"] > 1.15:
         out.append(f"The noise is {noise['sigma_scale']:.2f} times {words.noise}.")
     if noise["correlation_mm"] > 0:
@@ -150,7 +128,7 @@ def _settings(d: Json, words: Vocabulary) -> list[str]:
 
 def probabilities(d: Json, extra: Json) -> list[tuple[str, list[dict[str, Any]]]]:
     """Effects by element in the order of the light, each with its probability and where that lies on a log-odds bar."""
-    known = {e["name"]: e["element"] for e in extra["catalogue"]}
+    known = {e["name"]: e["element"] for e in extra["catalogue"]} | {SETTINGS: "settings"}
     said = {f["name"]: f["confidence"] for f in d["effects"]}
     rivals = {name for c in d["classes"] for member in c["members"] for name in member}
     grouped: dict[str, list[dict[str, Any]]] = {e: [] for e in ELEMENTS}
@@ -243,6 +221,7 @@ def _separation(s: Json) -> str:
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
+    "confidence": CONFIDENCE.__getitem__,
     "percent": percent,
     "chance": chance,
     "size": _size,

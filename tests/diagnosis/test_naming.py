@@ -11,7 +11,7 @@ import lines
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import linear, name, search
+from benchsim.diagnosis import linear, name, search, settings
 from benchsim.diagnosis.problem import Problem
 
 AMPLITUDES = [p for e in lines.CATALOGUE for p in e.parameters if not p.grid]
@@ -19,7 +19,12 @@ SURE = 0.99
 
 
 def sure(found):
-    return {k for k, v in found.probability.items() if v > SURE}
+    """Effects beyond doubt; what is said of the settings is `scaled`."""
+    return {k for k, v in found.probability.items() if v > SURE and k != settings.NAME}
+
+
+def scaled(found):
+    return found.probability[settings.NAME]
 
 
 def drawn(effect, snr, rng, gram):
@@ -52,7 +57,7 @@ def test_clean_sets_are_named_nothing(sets, most):
         found = name(lines.problem(seed=seed)[0])
         wrong += bool(sure(found))
         unconverged += not found.null.converged
-        told += max(found.probability.values())
+        told += max(p for k, p in found.probability.items() if k != settings.NAME)
     assert wrong <= most
     assert unconverged == 0
     assert told / sets < 0.1
@@ -64,8 +69,12 @@ def test_clean_sets_are_named_nothing(sets, most):
 )
 def test_wrong_statements_about_errors_name_nothing(how, sets):
     """One set may be wrong: of 8, a name in 1 % fails in 0.3 % of runs and one in 47 % passes in 5 %; of 20, 1.7 % and
-    22 %."""
-    assert sum(bool(sure(name(lines.problem(seed=seed, **how)[0]))) for seed in range(sets)) <= 1
+    22 %. Twelve errors three times as large as stated show it at even odds in 97 % of sets: three misses of 8 happen in
+    0.1 % of runs."""
+    found = [name(lines.problem(seed=seed, **how)[0]) for seed in range(sets)]
+    assert sum(bool(sure(f)) for f in found) <= 1
+    if how.get("setting_scale"):
+        assert sum(scaled(f) < 0.5 for f in found) <= 2
 
 
 @pytest.mark.parametrize(
@@ -96,7 +105,7 @@ def test_the_setting_scale_is_found_and_costs_no_name(gram):
     for seed in range(3):
         problem, _ = lines.problem(drawn(lines.CATALOGUE[1], 12.0, rng, gram), seed=seed, setting_scale=3.0)
         found = name(problem)
-        assert sure(found) == {"turn"}
+        assert sure(found) == {"turn"} and scaled(found) > 0.3
         scales.append(found.fits[0].setting_scale)
     assert 2 < np.median(scales) < 4.5
 
@@ -122,14 +131,14 @@ def test_what_a_naming_holds():
     told = []
     found = name(problem, lambda what, done: told.append(done))
     assert told == sorted(told) and told[-1] == 1.0
-    assert {e for e, _ in found.screened} >= {("bow",), ("bow", "turn"), ("blur", "tilts")}
-    assert [z for _, z in found.screened] == sorted((z for _, z in found.screened), reverse=True)
+    assert {e for e, _, _ in found.screened} >= {("bow",), ("bow", "turn"), ("blur", "tilts")}
+    assert [z for _, z, _ in found.screened] == sorted((z for _, z, _ in found.screened), reverse=True)
     assert found.fits[0].effects == ("ripple",) and any(f is found.null for f in found.fits)
     assert found.linear.names == tuple(p.name for p in AMPLITUDES)
     best = found.fits[0]
     assert best.linear.names == ("ripple",) and best.covariance.shape == (2, 2)
     assert best.sigma["period"] == pytest.approx(np.sqrt(best.covariance[1, 1]))
-    assert dict(found.screened)["ripple",] == best.log_evidence
+    assert {e: z for e, z, _ in found.screened}["ripple",] == best.log_evidence
     assert best.values["period"] == pytest.approx(0.66, abs=4 * best.sigma["period"])
     # Noise of unit variance once whitened, nothing left in the residual beside what was fitted.
     assert 450 < best.chi2 < 700

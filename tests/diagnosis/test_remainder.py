@@ -25,7 +25,7 @@ def test_chance_gives_the_stated_rate():
     many = [remainder.remainder(replace(linear, residual=r), families, 1.0) for r in draws(problem, linear, 300, 1)]
     # Every family is a χ² of its rank: Kolmogorov-Smirnov at 0.1 % each.
     for name in families.families:
-        p = [chi2.sf(*m.families[name]) for m in many]
+        p = [chi2.sf(m.families[name].statistic, m.families[name].rank) for m in many]
         assert kstest(p, "uniform").pvalue > 1e-3, name
     # 1 % stated, Bonferroni makes it a little less: 9 or more of 300 happen once in 250 times at 1 %.
     assert sum(not m.acceptable for m in many) < 9

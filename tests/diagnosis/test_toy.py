@@ -17,7 +17,8 @@ from benchsim.diagnosis.judging import judge
 
 
 def test_clean_lines_lack_nothing_and_the_limits_are_stated():
-    problem = toy(seed=3)
+    # Of eight settings, 3 % of clean sets leave open whether those were set as well as stated; of sixteen, none.
+    problem = toy(seed=3, blocks=16)
     steps = []
     d = diagnose(problem, lambda what, done: steps.append(done))
     assert d.verdict == "nothing-missing" and d.effects == () and d.classes == () and d.law is None
@@ -113,44 +114,50 @@ def test_what_the_catalogue_lacks_is_rarely_given_a_wrong_name(truth, without, e
     assert right >= claimed - may_miss
 
 
-def test_clean_lines_are_not_named_even_with_settings_worse_than_stated():
+def test_clean_lines_lack_nothing_but_better_settings_where_those_are_worse_than_stated():
     # Of 10 seeds with settings three times as bad, two or more are named in 0.4 % of runs at the 1 % that is aimed at;
     # one or none in 5 % at 39 %.
     named = 0
     for seed in range(500, 510):
         problem = toy({}, seed, setting_scale=3.0)
-        named += bool(judge(problem, naming.name(problem, refits=5)).findings.stands)
+        named += bool({f.name for f in judge(problem, naming.name(problem, refits=5)).found} - {"setting-errors"})
     assert named <= 1
 
 
-@pytest.mark.parametrize(("size", "seed", "said"), [(0.08, 24, "nothing-missing"), (0.12, 32, "named")])
+@pytest.mark.parametrize(("size", "seed", "said"), [(0.08, 24, "class"), (0.12, 32, "named")])
 def test_what_is_suspected_or_probable_comes_with_what_would_settle_it(size, seed, said):
     d = diagnose(toy({"lens_a": size}, seed, without=("lens-b",), attached=False))
     assert d.verdict == said and all(f.confidence == "probable" for f in d.effects)
-    assert d.effects or any("lens-a is suspected" in note for note in d.notes)
+    assert d.effects or {m for c in d.classes for m in c.members} == {(), ("lens-a",)}
     assert d.next and d.next[0].what == "the line through a microscope"
 
 
-@pytest.mark.parametrize(("lead", "members"), [(0.7, ((), ("creep",))), (-0.7, (("creep",), ())), (2.5, None)])
-def test_an_effect_in_whose_place_settings_could_be_further_off_is_left_open(lead, members):
+def test_settings_three_times_as_bad_are_what_is_found():
+    d = diagnose(toy({}, 3, setting_scale=3.0))
+    assert d.verdict == "named"
+    (one,) = d.effects
+    size = one.parameters["scale"]
+    assert (one.name, one.element) == ("setting-errors", "settings")
+    assert abs(size.value - 3) < 3 * size.sigma
+
+
+@pytest.mark.parametrize("lead", [1.0, -1.0])
+def test_an_effect_in_whose_place_settings_could_be_further_off_is_left_open(lead):
     """Scenario: a bow beyond doubt, and a creep that settings twice as far off as stated would explain as well. Which
-    of the two it is the data cannot tell; the bow is named in either case. Where the settings are more than nine times
-    as probable, nothing is left open.
+    of the two it is the data cannot tell; the bow is named in either case.
     """
     problem = toy({"bow": 0.2, "creep": 3.0}, 5)
     naming_ = naming.name(problem)
     both = next(f for f in naming_.fits if f.effects == ("bow", "creep"))
-    alone = replace(
-        next(f for f in naming_.fits if f.effects == ("bow",)),
-        setting_scale=2.1,
-        log_evidence=both.log_evidence + lead,
-        converged=True,
+    within, far = np.where(naming_.setting_scales < 1.5, [[0.0], [-40.0]], [[-40.0], [0.0]])
+    both = replace(both, log_scales=both.log_evidence + within)
+    alone = next(f for f in naming_.fits if f.effects == ("bow",))
+    alone = replace(alone, log_evidence=both.log_evidence + lead, log_scales=both.log_evidence + lead + far)
+    fits = (
+        *(f for f in naming_.fits if f.effects not in (("bow",), ("bow", "creep"))),
+        both,
+        replace(alone, converged=True),
     )
-    fits = (*(f for f in naming_.fits if f.effects not in (("bow",), ("bow", "creep"))), both, alone)
     judged = judge(problem, replace(naming_, fits=fits))
-    if members is None:
-        assert judged.best.fit.effects == ("bow",) and judged.best.claim.classes == ()
-        return
-    assert judged.best.fit is both and judged.best.claim.lone == ("bow",)
-    assert judged.best.claim.classes == (members,)
-    assert any("2.1 times as far off as stated would do in place of creep" in note for note in judged.notes)
+    assert judged.best.claim.lone == ("bow",)
+    assert {m for c in judged.best.claim.classes for m in c} == {("creep",), ("setting-errors",)}

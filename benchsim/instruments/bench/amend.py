@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from benchsim.bench.fields import FORMS, Field, evaluate, field
 from benchsim.bench.model import Recording
 from benchsim.bench.writing import write
+from benchsim.diagnosis import settings
 from benchsim.diagnosis.result import Diagnosis, Law, chosen
 from benchsim.instruments.bench.candidates import simulated
 from benchsim.instruments.bench.effects import PHYSICS_OF, SIZE, Term, terms
@@ -41,6 +42,8 @@ def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recor
     for name in chosen(d):
         own = {t.name for t in terms(name, recording.mirror.facets)}
         values = {k: v for k, v in d.values.items() if k in own}
+        if name == settings.NAME:
+            values = {settings.SCALE: d.setting_scale}
         if values:
             found.setdefault(name, values)
     effects = {name: dict(values) for name, values in recording.effects.items()}
@@ -64,7 +67,9 @@ def combined(name: str, old: Mapping[str, float], found: Mapping[str, float], fa
         if key == SIZE.name:
             continue
         term = known[key]
-        if term.grid or key not in old:
+        if name == settings.NAME:
+            out[key] = old.get(key, 1.0) * value
+        elif term.grid or key not in old:
             out[key] = value
         else:
             out[key] = old[key] + value

@@ -67,6 +67,8 @@ def candidates(recording: Recording, against: str = "bench") -> tuple[Effect, ..
         if name in barred:
             continue
         own = tuple(t for t in entry.terms if t.observable)
+        if not own:  # setting errors are a hypothesis of the diagnosis' own
+            continue
         random = False
         if name == "facet-tilts" and gated:
             own, random = tuple(Term(f"tilt_{k}", "mrad", 3.0) for k in gated), True

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Recording
+from benchsim.diagnosis import settings
 
-ELEMENTS = ("source", "mirror", "air", "screen", "camera", "time")
-"""In the order of the light; time is what changes on the way through a recording."""
+ELEMENTS = ("source", "mirror", "air", "screen", "camera", "time", "settings")
+"""In the order of the light; time is what changes on the way through a recording, settings what hands do."""
 
 
 @dataclass(frozen=True)
@@ -392,6 +393,15 @@ CATALOGUE: tuple[Entry, ...] = (
         ("vibration of the laser", "of the axis", "of the mirror", "of the screen"),
         "Drawn as rays that each land displaced by a random draw of a round Gaussian; nothing on the bench is shaken.",
         needs=("gamma",),
+    ),
+    Entry(
+        settings.NAME,
+        settings.EFFECT.element,
+        (Term(settings.SCALE, "1", settings.LARGEST, one_sided=True, observable=False),),
+        settings.EFFECT.says,
+        settings.EFFECT.remedy,
+        "log-normal prior, sigma 0.3 about 1",
+        drawn="The errors of every setting are drawn so many times as large; no light is changed by itself.",
     ),
 )
 """Every effect, in the order of the documentation."""

@@ -19,7 +19,7 @@ from benchsim import rays
 from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.model import Physics, Recording
 from benchsim.bench.place import place
-from benchsim.bench.settings import NAMES, OF_THE_SEAT, prior_sigma, screen_seats
+from benchsim.bench.settings import NAMES, OF_THE_SEAT, prior_sigma, screen_seats, uncertainty_of
 from benchsim.diagnosis.problem import Effect, Parameter, Problem, Values
 from benchsim.instruments.bench.attachments import attachments
 from benchsim.instruments.bench.blocks import Block, Response
@@ -122,7 +122,9 @@ def build(
 def nuisances(recording: Recording, predict: Predict) -> tuple[Parameter, ...]:
     """What may differ from the file without being an effect, with its prior."""
     u = recording.uncertainty
-    sigma = prior_sigma(u, reseated=True) * np.array([1.0 if unit == "mm" else 1e3 for unit in UNITS])
+    sigma = prior_sigma(uncertainty_of(recording), reseated=True) * np.array(
+        [1.0 if unit == "mm" else 1e3 for unit in UNITS]
+    )
     out: dict[str, Parameter] = {}
     blocks = predict.blocks
 

@@ -19,7 +19,7 @@ from benchsim import rays, vector
 from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.model import Exposure, Physics, Recording, Screen
 from benchsim.bench.place import Placement, SettingErrors, place
-from benchsim.bench.settings import prior_sigma
+from benchsim.bench.settings import prior_sigma, uncertainty_of
 from benchsim.instruments.bench.explain import Binned, Explained, bin_trace, explain
 
 Array = NDArray[np.float64]
@@ -176,7 +176,7 @@ def validate_trace(
         return curve if measured is None else replace(curve, points=measured(curve.points))
 
     binned = bin_trace(s, covariance)
-    prior = prior_sigma(recording.uncertainty, reseated=reseated)
+    prior = prior_sigma(uncertainty_of(recording), reseated=reseated)
     against_paper = explain(points, binned, paper, prior)
     against_bench = explain(points, binned, bench, prior)
     stated = paper(SettingErrors())
