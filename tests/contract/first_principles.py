@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 GLASS = 1.515  # the contract's index of plate and mirror glass
 THERMO_OPTIC = -0.95e-6  # dn/dT of air [1/K], the contract's
@@ -154,7 +155,7 @@ class Tracer:
         along = x - self.through
         w, a, b = dot(along, self.d), dot(along, self.u), dot(along, self.v)
         p, q = a, b
-        for _ in range(12):  # the place (p, q) in the section from which the ray comes
+        for _ in range(8):  # the place (p, q) in the section from which the ray comes
             su, sv = self.slope(p, q)
             p, q = a - w * su, b - w * sv
         su, sv = self.slope(p, q)
@@ -206,7 +207,7 @@ class Tracer:
         start, along, bend = ((y @ self.board) for y in (x - self.origin, direction, bend))
         by, bz = 1e-3 * e.get("bow_y", 0.0), 1e-3 * e.get("bow_z", 0.0)
         s = -start[..., 0] / along[..., 0]
-        for _ in range(8):  # Newton on the path length, to the curved board
+        for _ in range(4):  # Newton on the path length, to the curved board
             at = start + s[..., None] * along + 0.5 * (s * s)[..., None] * bend
             rate = along + s[..., None] * bend
             miss = at[..., 0] - 0.5 * (by * at[..., 1] ** 2 + bz * at[..., 2] ** 2)
@@ -265,7 +266,7 @@ class Tracer:
         points, tangent = (x.reshape(len(x), *[1] * (start.ndim - 1), 2) for x in (points, tangent))
         left = np.stack([-tangent[..., 1], tangent[..., 0]], -1)
         turned, step = start, 1e-5
-        for _ in range(6):
+        for _ in range(4):
             ahead, behind = (dot(land(turned + k * step) - points, tangent) for k in (1, -1))
             speed = (ahead - behind) / (2 * step)
             turned = turned - 0.5 * (ahead + behind) / speed
@@ -292,14 +293,16 @@ class Tracer:
             turned, q, speed = self.cut(land, points, tangent, start)
             power = np.ones_like(q) if ray else self.node(t, h, turned, lean)[1]
             spread.append(q)
-            light.append(power * area / np.abs(speed) / (2.0 * np.pi) * self.sweeps / len(leans))
+            light.append(power * area / np.abs(speed) * self.share / len(leans))
         return np.array(spread), np.array(light)
 
     @property
-    def sweeps(self):
-        """Facets that pass in a revolution: all, or the one that the exposure is gated to; a cylinder is one."""
-        whole = self.recording.physics.facets and self.exposure.facet is None
-        return self.recording.mirror.facets if whole else 1
+    def share(self):
+        """Light per mm: of a revolution all facets, or the gated one; of a cylinder the strip r dε; of a pencil a ray."""
+        physics = self.recording.physics
+        if not physics.facets:
+            return self.distance if physics.beam else 1.0 / (2.0 * np.pi)
+        return (self.recording.mirror.facets if self.exposure.facet is None else 1) / (2.0 * np.pi)
 
     def centre_line(self, points, tangent, **nodes):
         """Mean offset (n,) [mm], light per mm, and the adaptive width about the mean of the irradiance across a trace."""
@@ -307,6 +310,59 @@ class Tracer:
         flux = light.sum(1)
         mean = (q * light).sum(1) / flux
         return mean, flux, adaptive(q - mean[:, None], light)
+
+    def line(self, samples, turns=(-0.2, 0.2), edge=340.0):
+        """Centre line (samples, 2) [mm] within ±edge of the board, and its unit tangents, from nothing but the facet."""
+        grid = np.linspace(*turns, 801)
+        points = self.node(np.zeros(1), np.zeros(1), grid, float(np.mean(self.leans)))[0]
+        points = points[np.abs(points).max(1) < edge]
+        points = points[np.linspace(0, len(points) - 1, samples).round().astype(int)]
+        for _ in range(3):
+            tangent = tangents(points)
+            off = self.centre_line(points, tangent, along=20, across=6)[0]
+            points = points + off[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], -1)
+        return points, tangents(points)
+
+    def fresnel(self, points, tangent, q, along=24, across=64):
+        """Irradiance (n, len(q)) [1/mm²] on each profile's normal with diffraction at the facet's height.
+
+        Huygens and Fresnel along the height, with the beam's amplitude across the facet and true path lengths from the
+        beam's source point to the board; the turn averages the phase along the width away, so that its nodes add as
+        intensities, each in the turn at which its light is stationary along the width.
+        """
+        leans = float(np.mean(self.leans))
+        t, h, area = self.nodes(along, across)
+        wave = 2.0 * np.pi / self.recording.laser.wavelength
+        source = self.through - self.d / self.bend[0, 0]
+        left = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
+        out = np.zeros((len(points), len(q)))
+        turned, offset, speed = self.cut(
+            lambda e: self.node(t, h, e, leans)[0], points, tangent, np.zeros((len(points), *t.shape))
+        )
+        light = self.node(t, h, turned, leans)[1] * area / np.abs(speed) * self.share  # per node, light per mm
+        for i in range(len(points)):
+            board = points[i] + q[:, None] * left[i]
+            target = self.origin + np.concatenate([np.zeros((len(q), 1)), board], 1) @ self.board.T
+
+            def path(e, tt, hh, target=target):
+                x = self.facet(tt, hh, e, leans)[0]
+                return np.linalg.norm(x - source, axis=-1) + np.linalg.norm(target[:, None, None] - x, axis=-1)
+
+            mid, tt, step = np.zeros(1), t[None, :, :1], 1e-3
+            e = np.broadcast_to(turned[i].mean(1)[None, :, None], (len(q), along, 1))
+            for _ in range(5):  # the turn at which the path is stationary along the width
+                slope = [path(e + k, tt + step, mid) - path(e + k, tt - step, mid) for k in (-1e-4, 0.0, 1e-4)]
+                e = e - slope[1] * 2e-4 / (slope[2] - slope[0])
+            phase = wave * path(e, t[None], h[None])
+            phase = phase - phase[..., :1]
+            rule = area / area.sum(1, keepdims=True) * 2.0 * self.half[1]  # dh
+            amplitude = np.sqrt(light[i] / rule)
+            field_ = (amplitude * rule * np.exp(1j * phase)).sum(-1)
+            # d²phase/dq dh turns the integral over q of |field|² into that of the light over h (Parseval).
+            mixed = np.gradient(np.gradient(phase, h[0], axis=-1), q, axis=0)
+            chirp = np.abs(mixed[len(q) // 2, :, across // 2])
+            out[i] = (np.abs(field_) ** 2 * chirp / (2.0 * np.pi)).sum(-1)
+        return out
 
     def spot(self, turned, along=28, across=8):
         """Of the spots at turns (n,): mean (n, 2), light, and covariance (n, 2, 2) of their irradiance."""
@@ -317,6 +373,12 @@ class Tracer:
         mean = (w * landed).sum((1, 2)) / total
         off = landed - mean[:, None, None]
         return mean, total[:, 0], np.einsum("nth,nthi,nthj->nij", w[..., 0], off, off) / total[..., None]
+
+
+def tangents(points):
+    """Unit tangents of the smooth curve through points, by a cubic spline in the chord length."""
+    s = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
+    return unit(CubicSpline(s, points)(s, 1))
 
 
 def adaptive(q, light):
