@@ -138,7 +138,7 @@ def test_astigmatism(letter, size):
 @two({"coma_u": 0.01, "coma_v": 0.005}, {"coma_u": -0.1}, {"coma_v": 0.1})
 def test_coma(letter, size):
     """Expects "direction + u (cu (3u² + v²) + 2 cv u v) + v (2 cu u v + cv (u² + 3v²))" in mrad/mm²."""
-    hold(bench(letter), {"coma": size})
+    hold(bench(letter), {"coma": size}, along=40, across=12)
     hold(bench(letter, facets=False), {"coma": size})
 
 
