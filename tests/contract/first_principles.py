@@ -317,9 +317,9 @@ class Tracer:
         points = self.node(np.zeros(1), np.zeros(1), grid, float(np.mean(self.leans)))[0]
         points = points[np.abs(points).max(1) < edge]
         points = points[np.linspace(0, len(points) - 1, samples).round().astype(int)]
-        for _ in range(3):
+        for _ in range(2):
             tangent = tangents(points)
-            off = self.centre_line(points, tangent, along=20, across=6)[0]
+            off = self.centre_line(points, tangent, along=16, across=6)[0]
             points = points + off[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], -1)
         return points, tangents(points)
 
