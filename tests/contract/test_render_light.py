@@ -75,13 +75,13 @@ def test_canting(letter, size):
 @sizes({"tilt_0": 0.2, "tilt_4": -0.2}, {"tilt_0": 3.0, "tilt_1": -1.0, "tilt_5": -2.0})
 def test_facet_tilts(letter, size):
     """Expects the mean of all facets' light: "lean of facet k beyond the mean"."""
-    land(bench(letter), {"facet-tilts": size}, samples=19)
+    land(bench(letter), {"facet-tilts": size}, samples=13)
 
 
 @sizes({"wob_c": 0.1, "wob_s": -0.05}, {"wob_c": -1.0, "wob_s": 2.0})
 def test_axis_wobble(letter, size):
     """Expects "tilt_k = wob_c cos(2πk/N) + wob_s sin(2πk/N)"; gated, its sign and phase."""
-    land(bench(letter), {"axis-wobble": size}, samples=19)
+    land(bench(letter), {"axis-wobble": size}, samples=13)
     land(bench(letter, facet=2), {"axis-wobble": size})
 
 
