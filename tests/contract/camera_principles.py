@@ -67,8 +67,6 @@ def read(camera, pose, pixels):
     for _ in range(30):
         step = 1e-3
         at = project(camera, *pose, raised(board))
-        jac = np.stack(
-            [(project(camera, *pose, raised(board + step * e)) - at) / step for e in np.eye(2)], -1
-        )
+        jac = np.stack([(project(camera, *pose, raised(board + step * e)) - at) / step for e in np.eye(2)], -1)
         board = board + np.linalg.solve(jac, (pixels - at)[..., None])[..., 0]
     return board

@@ -1,12 +1,13 @@
-"""The bench from the contract's words alone: a vector ray tracer in plain NumPy, float64, that holds `rays` and `render`.
+"""The bench from the contract's words alone: a vector ray tracer in NumPy, float64, that holds `rays` and `render`.
 
-Nothing here is taken from the package but its description of an experiment (`benchsim.bench`'s dataclasses). Frame, units and
-signs are the contract's: x is the screen's normal toward the mirror, y west, z up; mm, rad, s; effects in file units.
+Nothing here is taken from the package but its description of an experiment (`benchsim.bench`'s dataclasses). Frame,
+units and signs are the contract's: x is the screen's normal toward the mirror, y west, z up; mm, rad, s; effects in
+file units.
 
-A node (t, h) is a place on a facet: t along its width, h along its height. In the course of a turn ε the light of a node
-draws a line on the board; it cuts the normal of a trace at one offset q, and lays there its power per radian over the speed
-along the trace. Sums over Gauss-Legendre nodes of the facet are therefore exact integrals of the time-averaged irradiance:
-its mean offset (the centre), its light per mm (flux) and its spread (width).
+A node (t, h) is a place on a facet: t along its width, h along its height. In the course of a turn ε the light of a
+node draws a line on the board; it cuts the normal of a trace at one offset q, and lays there its power per radian over
+the speed along the trace. Sums over Gauss-Legendre nodes of the facet are therefore exact integrals of the
+time-averaged irradiance: its mean offset (the centre), its light per mm (flux) and its spread (width).
 """
 
 from __future__ import annotations
@@ -43,9 +44,7 @@ def turn(vector):
 
 def toward_source(azimuth, elevation):
     """Azimuth from north (+x) toward east (−y)."""
-    return np.array(
-        [np.cos(elevation) * np.cos(azimuth), -np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    return np.array([np.cos(elevation) * np.cos(azimuth), -np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class Tracer:
         leans = 1e-3 * (e.get("pyr", 0.0) + tilt + e.get("wob_c", 0.0) * np.cos(k) + e.get("wob_s", 0.0) * np.sin(k))
         if exposure.facet is not None:
             leans = leans[exposure.facet : exposure.facet + 1]
-        roll = exposure.screen_roll + 1e-3 * e.get("srot", 0.0)
+        roll = exposure.screen_roll
         sy, sz = 1e-3 * e.get("st_y", 0.0), 1e-3 * e.get("st_z", 0.0)
         # The plane x = st_z y + st_y z, reached by the turn without twist that carries x to its normal.
         normal = unit(np.array([1.0, -sz, -sy]))
@@ -107,7 +106,10 @@ class Tracer:
         board = turn(across / sine * np.arcsin(sine)) if sine else np.eye(3)
         hours = (exposure.time - min(x.time for x in self.recording.exposures)) / 3600.0
         drift = hours * np.array([0.0, e.get("dry", 0.0), e.get("drz", 0.0)])
-        frame = turn(self.errors.screen_turn) @ turn([roll, 0.0, 0.0]) @ board
+        # The tilt rolls with the known roll; the board's own rotation stays in its plane, which is as stated then.
+        frame = (
+            turn(self.errors.screen_turn) @ turn([roll, 0.0, 0.0]) @ board @ turn([1e-3 * e.get("srot", 0.0), 0.0, 0.0])
+        )
         put = object.__setattr__
         put(self, "centre", c + np.array(self.errors.centre))
         put(self, "aimed", aimed)
@@ -275,8 +277,8 @@ class Tracer:
     def profiles(self, points, tangent, along=28, across=8):
         """Offsets q and light per mm of the trace, (facet, profile, t, h), of the light on each profile's normal.
 
-        ``points`` and unit ``tangent`` (n, 2) on the board, in the order of growing turn; q is to the left of the tangent.
-        Laser power 1, averaged over a revolution.
+        ``points`` and unit ``tangent`` (n, 2) on the board, in the order of growing turn; q is to the left of it. Laser
+        power 1, averaged over a revolution.
         """
         physics = self.recording.physics
         ray = physics.facets and not physics.beam
@@ -298,21 +300,21 @@ class Tracer:
 
     @property
     def share(self):
-        """Light per mm: of a revolution all facets, or the gated one; of a cylinder the strip r dε; of a pencil a ray."""
+        """Light per mm: of all facets, or the gated one; of a cylinder with beam the strip r dε; of a pencil a ray."""
         physics = self.recording.physics
         if not physics.facets:
             return self.distance if physics.beam else 1.0 / (2.0 * np.pi)
         return (self.recording.mirror.facets if self.exposure.facet is None else 1) / (2.0 * np.pi)
 
     def centre_line(self, points, tangent, **nodes):
-        """Mean offset (n,) [mm], light per mm, and the adaptive width about the mean of the irradiance across a trace."""
+        """Mean offset (n,) [mm], light per mm, and adaptive width about the mean of the irradiance across a trace."""
         q, light = (x.swapaxes(0, 1).reshape(len(points), -1) for x in self.profiles(points, tangent, **nodes))
         flux = light.sum(1)
         mean = (q * light).sum(1) / flux
         return mean, flux, adaptive(q - mean[:, None], light)
 
     def line(self, samples, turns=(-0.2, 0.2), edge=340.0):
-        """Centre line (samples, 2) [mm] within ±edge of the board, and its unit tangents, from nothing but the facet."""
+        """Centre line (samples, 2) [mm] within ±edge of the board, and its unit tangents."""
         grid = np.linspace(*turns, 801)
         points = self.node(np.zeros(1), np.zeros(1), grid, float(np.mean(self.leans)))[0]
         points = points[np.abs(points).max(1) < edge]
@@ -336,7 +338,7 @@ class Tracer:
         source = self.through - self.d / self.bend[0, 0]
         left = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
         out = np.zeros((len(points), len(q)))
-        turned, offset, speed = self.cut(
+        turned, _, speed = self.cut(
             lambda e: self.node(t, h, e, leans)[0], points, tangent, np.zeros((len(points), *t.shape))
         )
         light = self.node(t, h, turned, leans)[1] * area / np.abs(speed) * self.share  # per node, light per mm

@@ -32,11 +32,14 @@ def expectation(tracer, samples=37):
     return CubicSpline(s, points), s[-1], np.abs(q).max(), CubicSpline(s, variance), CubicSpline(s, flux)
 
 
-def stretches(light, line, length, reach):
-    """Mean offset, variance [mm, mm²] and light per mm of a map in each stretch, over normals of the line."""
+def offsets(light, line, length, reach, about=None):
+    """Arc length and offset of a map's bins nearer to the line than ``reach``, and their light over normals of it."""
     fine = np.linspace(0.0, length, 4 * int(length))
     rows, columns = np.nonzero(light.values > 0.0)
     at = np.column_stack([light.y[columns], light.z[rows]])
+    if about is not None:  # only bins within 50 mm of that place
+        keep = np.abs(at - line(about)).max(1) < 50.0
+        at, rows, columns = at[keep], rows[keep], columns[keep]
     near, nearest = cKDTree(line(fine)).query(at, distance_upper_bound=reach + 2.0)
     keep = np.isfinite(near)
     at, s, value = at[keep], fine[nearest[keep]], light.values[rows[keep], columns[keep]]
@@ -50,12 +53,25 @@ def stretches(light, line, length, reach):
     q = off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1]
     curvature = -bend[:, 0] * along[:, 1] + bend[:, 1] * along[:, 0]
     weight = (value * light.pitch**2 / (1.0 - curvature * q))[np.abs(q) < reach]  # area between neighbouring normals
-    s, q = s[np.abs(q) < reach], q[np.abs(q) < reach]
+    return s[np.abs(q) < reach], q[np.abs(q) < reach], weight
+
+
+def stretches(light, line, length, reach):
+    """Mean offset, variance [mm, mm²] and light per mm of a map in each stretch."""
+    s, q, weight = offsets(light, line, length, reach)
     share = weight * windows(s, length)
     amount = share.sum(1)
     mean = share @ q / amount
     variance = share @ (q * q) / amount - mean**2 - light.pitch**2 / 6.0  # less that of the tents
     return mean, variance, amount
+
+
+def across(light, line, length, reach):
+    """Gaussian-weighted shares and first moments of a map's profile about the middle of the line."""
+    s, q, weight = offsets(light, line, length, reach, about=0.5 * length)
+    weight = weight * np.exp(-0.5 * ((s - 0.5 * length) / 8.0) ** 2)
+    windows_ = [np.exp(-0.5 * (q / w) ** 2) for w in (0.5, 1.0, 2.0)]
+    return np.array([(weight * w).sum() for w in windows_] + [(weight * w * q).sum() for w in windows_]) / weight.sum()
 
 
 def windows(s, length):
@@ -66,13 +82,13 @@ def windows(s, length):
     return np.where(np.abs(x) < 1.0, np.cos(0.5 * np.pi * x) ** 2, 0.0) / width
 
 
-def land(recording, effects=None, *, errors=STATED, index=0, rays=1_000_000, amount=True, samples=37):
+def land(recording, effects=None, *, errors=STATED, index=0, rays=1_000_000, amount=True, samples=37, truth=None):
     """`render`'s light against first principles, by a z-test of every stretch; what it differs by."""
     effects = effects or {}
     bent = replace(recording, effects=effects)
     exposure = recording.exposures[index]
     flat = {key: value for table in effects.values() for key, value in table.items()}
-    line, length, reach, variance, flux = expectation(Tracer(recording, exposure, errors, flat), samples)
+    line, length, reach, variance, flux = expectation(Tracer(truth or recording, exposure, errors, flat), samples)
     placed = place(recording.mirror, exposure, setting_errors(errors))
     found = np.array(
         [

@@ -35,7 +35,9 @@ def test_aim(letter):
     assert np.abs(centre).max() < 1e-9
     assert np.abs(np.array(place_)).max() < 1e-9
     curve = predict(bench(letter, beam=False), bench(letter, beam=False).exposures[0], samples=401)
-    assert np.linalg.norm(curve.points, axis=1).min() < 0.5 * np.linalg.norm(np.diff(curve.points, axis=0), axis=1).max()
+    assert (
+        np.linalg.norm(curve.points, axis=1).min() < 0.5 * np.linalg.norm(np.diff(curve.points, axis=0), axis=1).max()
+    )
     at_c = unit(np.cross([0.0, 0.0, 1.0], -tracer.d - unit(tracer.centre)))
     assert 1.5e-3 < np.arccos(at_c @ tracer.axis) < 3.5e-3
 

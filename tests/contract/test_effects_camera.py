@@ -77,7 +77,8 @@ def test_rolling_shutter(camera, size):
 
 @two({"sat": 0.05}, {"sat": 3.0})
 def test_saturation(camera, size):
-    """Expects v + sat · brightness²: "charge spills toward +v; centroid shift at the exposure's peak, ∝ brightness²"."""
+    """Expects v + sat · brightness²: "charge spills toward +v; centroid shift at the exposure's peak, ∝
+    brightness²"."""
     level = np.linspace(0.0, 1.0, len(GRID))
     moved = flat(camera) + np.outer(size["sat"] * level**2, [0.0, 1.0])
     assert np.abs(seen({"saturation": size}, level=level) - moved).max() < 1e-3
@@ -128,7 +129,7 @@ def test_screen_tilt_is_pose(camera, size):
 
 @pytest.mark.parametrize("tilt", [(0.0, 20e-3, 0.0), (0.0, 0.0, -20e-3), (0.01, 0.05, -0.03)])
 def test_marks_of_a_turned_board_show_nothing(camera, tilt):
-    """Expects residual 0: rotate the planar target, project it, solve the pose; points on it are read where they lie."""
+    """Expects residual 0: rotate the planar target, project, solve the pose; points on it are read where they lie."""
     rotation, translation = look(camera)
     places = corners(bench("a").screen.marks)
     turned = rotation @ turn(tilt)

@@ -1,4 +1,4 @@
-"""Every effect of the light, `rays` against first principles: ≤ 1 µm across the trace, at two sizes, both settings of Fig. 7.
+"""Every effect of the light, `rays` against first principles: ≤ 1 µm across the trace, two sizes, both of Fig. 7.
 
 The second size is the cap, with the signs turned; a pencil on a cylinder is held where it differs.
 """
@@ -77,12 +77,11 @@ def test_azimuth_offset(letter, size):
 @both
 @two({"glass": 0.1}, {"glass": 2.0})
 def test_second_surface(letter, size):
-    """Expects the front face at r with the facet's edges, light leaving 2 glass tan θ′ further on: "light enters through
-    the front face and leaves it 2 `glass` tan θ′ further on, unclipped: main trace by the coating"."""
+    """Expects the front face at r with the facet's edges, light leaving 2 glass tan θ′ further on: "light enters
+    through the front face and leaves it 2 `glass` tan θ′ further on, unclipped: main trace by the coating"."""
     polygon_and_pencil(letter, "second-surface", size)
 
 
-@mended
 @both
 def test_second_surface_ghost(letter):
     """Expects the ghost where the mirror without glass has its trace: "ghost by the front face", which is "at r"."""
@@ -159,7 +158,8 @@ def test_window_tilt(letter, size):
 @both
 @two({"air": 20.0, "airh": 20.0}, {"air": -200.0}, {"airh": 200.0})
 def test_air_gradient(letter, size):
-    """Expects parabolas toward the cold side from mirror to board: "temperature rising along z, y; dn/dT = −0.95e-6"."""
+    """Expects parabolas toward the cold side from mirror to board: "temperature rising along z, y; dn/dT = −0.95e-6
+    /K"."""
     polygon_and_pencil(letter, "air-gradient", size)
 
 
@@ -170,8 +170,8 @@ def plume(kick, y=-40.0, z=-700.0, width=100.0):
 @both
 @two(plume(0.05), plume(2.0), plume(-2.0, y=-150.0, z=-650.0, width=60.0))
 def test_plume(letter, size):
-    """Expects the direction turned toward +y at x = C_x/2: "kick in y, Gaussian about that point of the plane half way",
-    half way between mirror (C) and screen, at world y, z."""
+    """Expects the direction turned toward +y at x = C_x/2: "kick in y, Gaussian about that point of the plane half
+    way", half way between mirror (C) and screen, at world y, z."""
     hold(bench(letter), {"plume": size})
     hold(bench(letter, screen_shift=100.0), {"plume": size})
     hold(bench(letter, facets=False, beam=False), {"plume": size})
@@ -201,6 +201,14 @@ def test_screen_tilt(letter, size, roll):
 def test_screen_tilt_about_both_axes(letter):
     """Expects the turn without twist that lays the board into the plane."""
     hold(bench(letter), {"screen-tilt": {"st_y": 8.0, "st_z": -12.0}})
+
+
+@mended
+@both
+def test_tilt_and_rotation(letter):
+    """Expects the plane x = st_z y + st_y z whatever the board's rotation in it: rotated first, then laid into the
+    plane, then rolled by the known roll (the tilt "rolls with" the board)."""
+    hold(bench(letter, screen_roll=0.8), {"screen-tilt": {"st_y": 12.0}, "screen-rotation": {"srot": -20.0}})
 
 
 @mended

@@ -53,7 +53,7 @@ def standing(board, size, roll=0.0, shift=0.0):
     across = np.cross([1.0, 0.0, 0.0], normal)
     sine = np.linalg.norm(across)
     tilt = turn(across / sine * np.arcsin(sine)) if sine else np.eye(3)
-    frame = turn([roll + 1e-3 * size.get("srot", 0.0), 0.0, 0.0]) @ tilt
+    frame = turn([roll, 0.0, 0.0]) @ tilt @ turn([1e-3 * size.get("srot", 0.0), 0.0, 0.0])
     bow = {key: size[key] for key in ("bow_y", "bow_z") if key in size}
     return raised(board, **bow) @ frame.T + [shift + size.get("sx", 0.0), 0.0, 0.0]
 
@@ -88,9 +88,7 @@ def found(picture, expected, reach):
 def check(camera, light, name, size, roll=0.0):
     exposure = replace(bench("a").exposures[0], screen_roll=roll)
     placed = place(bench("a").mirror, exposure)
-    picture = photograph(
-        bench("a").screen, camera, light, placement=placed, pose=look(camera), effects={name: size}
-    )
+    picture = photograph(bench("a").screen, camera, light, placement=placed, pose=look(camera), effects={name: size})
     expected = shown(camera, size, roll)
     off = found(picture.laser, expected, 20) - expected
     assert np.abs(off).max() < PLACE, np.abs(off).max()
@@ -170,7 +168,7 @@ def blank(camera):
 
 
 def ink(camera, blank, effects):
-    """Centroids of the marks' ink in the picture by room light [px]: the blank board's picture less the printed one's."""
+    """Centroids of the marks' ink in the picture by room light [px]: the blank board's less the printed one's."""
     grid = {key: value for table in effects.values() for key, value in table.items()}
     centres = np.array(bench("a").screen.marks.centres)
     places = project(camera, *look(camera), raised(printed(centres, **grid)))
@@ -187,7 +185,7 @@ def unchanged(camera, blank):
     "amount", [pytest.param(0.5, id="small", marks=pytest.mark.slow), pytest.param(-10.0, id="cap")]
 )
 def test_print(camera, blank, unchanged, name, key, amount):
-    """Expects ink meant for (y, z) at ((1 + gs + ga) y + gsh z, (1 + gs − ga) z + gsh y): its centroid in the picture."""
+    """Expects ink meant for (y, z) at ((1 + gs + ga) y + gsh z, (1 + gs − ga) z + gsh y): its centroid there."""
     meant = read(camera, look(camera), unchanged)
     expected = project(camera, *look(camera), raised(printed(meant, **{key: amount})))
     assert np.abs(ink(camera, blank, {name: {key: amount}}) - expected).max() < PLACE

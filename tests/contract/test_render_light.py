@@ -9,11 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from first_principles import Errors
+from first_principles import Errors, Tracer
 from holding import bench
-from landing import land
+from landing import CHANCE, PITCH, SEEDS, across, expectation, land, stretches
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.render import irradiance
 
 SLOW = [("a", "small"), ("b", "small"), ("b", "cap")]
 mended = pytest.mark.xfail(strict=False, reason="being mended")
@@ -62,7 +63,7 @@ def test_gated_facet():
 
 @sizes({"dr": 0.3}, {"dr": 17.5}, {"dr": -8.0})
 def test_pivot_offset(letter, size):
-    """Expects the facet dr further out: "reflecting surface further from the axis of rotation (its width unchanged)"."""
+    """Expects the facet dr further out: "further from the axis of rotation (its width unchanged)"."""
     land(bench(letter), {"pivot-offset": size})
 
 
@@ -204,11 +205,6 @@ def test_drift(letter, size):
 @sizes({"amp": 0.1, "freq": 50.0}, {"amp": 1.0, "freq": 50.0})
 def test_vibration(letter, size):
     """Expects the variance across to grow by amp²: "rms on the screen", the same in every direction."""
-    from landing import CHANCE, SEEDS, expectation, stretches
-
-    from benchsim.render import irradiance
-    from first_principles import Tracer
-
     recording = bench(letter)
     exposure = recording.exposures[0]
     line, length, reach, variance, _ = expectation(Tracer(recording, exposure))
@@ -225,3 +221,40 @@ def test_vibration(letter, size):
     mean, grown = found.mean(0)
     assert np.abs(mean).max() < CHANCE * error[0] + 1e-3
     assert abs(grown.mean() - plain.mean() - size["amp"] ** 2) < CHANCE * error[1] + 5e-3 * plain.mean()
+
+
+@pytest.mark.parametrize("letter, how", [("a", "physics"), ("b", "effect")])
+def test_diffraction(letter, how):
+    """Expects the Fresnel integral across the trace, `[physics]` or amplitude 1: light within Gaussian windows (0.5, 1
+    and 2 mm) and its first moments [mm], within 5e-4 beyond the scatter of the seeds."""
+    recording = bench(letter, diffraction=how == "physics")
+    exposure = recording.exposures[0]
+    bent = replace(recording, effects={"diffraction": {"fresnel": 1.0}} if how == "effect" else {})
+    tracer = Tracer(recording, exposure)
+    line, length = expectation(tracer, 19)[:2]
+    middle = np.array([0.5 * length])
+    tangent = line(middle, 1) / np.linalg.norm(line(middle, 1))
+    q = np.linspace(-6.0, 6.0, 601)
+    profile = tracer.fresnel(line(middle), tangent, q, along=16, across=64)[0]
+    maps = (irradiance(bent, exposure, seed=seed, rays=1_000_000, pitch=PITCH) for seed in SEEDS)
+    found = np.array([across(light, line, length, 6.0) for light in maps])
+    error = found.std(0, ddof=1) / np.sqrt(len(SEEDS))
+    assert np.abs(found.mean(0) - across_profile(q, profile, PITCH)).max() < 5e-4 + CHANCE * error.max()
+
+
+def across_profile(q, profile, pitch):
+    """What `landing.across` makes of a profile seen through a map's tents."""
+    tent = np.exp(-0.5 * q * q / (pitch**2 / 6.0))
+    seen = np.convolve(profile, tent / tent.sum(), "same")
+    windows = [np.exp(-0.5 * (q / w) ** 2) for w in (0.5, 1.0, 2.0)]
+    return np.array(
+        [(seen * w).sum() / seen.sum() for w in windows] + [(seen * w * q).sum() / seen.sum() for w in windows]
+    )
+
+
+@pytest.mark.parametrize("name, key", [("facets", "facets"), ("finite-beam", "beam")])
+def test_amplitude_of_left_out_physics(name, key):
+    """Expects amplitude 1 to be the bench with that physics: "only where `[physics]` has it false"."""
+    full = bench("a")
+    lacking = replace(full, physics=replace(full.physics, **{key: False}))
+    land(lacking, {name: {key: 1.0}}, truth=full)
