@@ -13,7 +13,7 @@ time-averaged irradiance: its mean offset (the centre), its light per mm (flux) 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -67,6 +67,8 @@ class Tracer:
     errors: Errors = Errors()
     effects: Mapping[str, float] = field(default_factory=dict)
     ghost: bool = False  # the front face's reflection instead of the coating's
+    shape: tuple = (0.0, 0.0, 0.0)  # c4, e+, e× of the true profile
+    tip: tuple = (0.0, 0.0)  # slopes along u and v added to every ray [rad]
 
     def __post_init__(self):
         mirror, laser, exposure, e = self.recording.mirror, self.recording.laser, self.exposure, self.effects
@@ -133,14 +135,12 @@ class Tracer:
         put(self, "half_way", 0.5 * (c[0] + exposure.screen_shift))  # x of the plane between mirror (C) and screen
         put(self, "drift", (frame.T @ drift)[1:])
 
-    # -- the beam -----------------------------------------------------------------------------------------------------
-
     def slope(self, a, b):
         """Slopes along u and v of the ray through (a, b) of the section through the aimed point, perpendicular to d."""
         m, (cu, cv) = self.bend, self.coma
         su = m[0, 0] * a + m[0, 1] * b + cu * (3 * a * a + b * b) + 2 * cv * a * b
         sv = m[1, 0] * a + m[1, 1] * b + 2 * cu * a * b + cv * (a * a + 3 * b * b)
-        return su, sv
+        return su + self.tip[0], sv + self.tip[1]
 
     def spreading(self, a, b, w):
         """By how much an area of rays grows from the section through the aimed point to a distance w along the beam."""
@@ -164,9 +164,9 @@ class Tracer:
         direction = unit(self.d + su[..., None] * self.u + sv[..., None] * self.v)
         waist = self.recording.laser.beam_diameter / 2.0
         density = 2.0 / (np.pi * waist**2) * np.exp(-2.0 * (p * p + q * q) / waist**2)
+        s, (c4, plus, cross) = 2.0 * (p * p + q * q) / waist**2, self.shape
+        density = density * np.exp(c4 * (s * s - 2.0 * s) + (plus * (p * p - q * q) + 2.0 * cross * p * q) / waist**2)
         return direction, density / self.spreading(p, q, w)
-
-    # -- the mirror ---------------------------------------------------------------------------------------------------
 
     def facet(self, t, h, turned, lean):
         """Point and unit normal of the front face at (t, h), when the facet's normal is turned by ``turned``."""
@@ -180,6 +180,14 @@ class Tracer:
         x = self.centre + self.distance * n + t * along + h * high - 0.5 * bend * (t * t + h * h) * normal
         return x, unit(normal + bend * (t * along + h * high))
 
+    def share_of_glass(self, cosine):
+        """Of unpolarised light (Fresnel): what the front face reflects, or what passes it twice."""
+        inside = np.sqrt(1.0 - (1.0 - cosine**2) / GLASS**2)
+        s = (cosine - GLASS * inside) / (cosine + GLASS * inside)
+        p = (GLASS * cosine - inside) / (GLASS * cosine + inside)
+        front = 0.5 * (s * s + p * p)
+        return front if self.ghost else (1.0 - front) ** 2
+
     def reflect(self, x, normal, direction):
         """Where the light leaves the front face, and its direction."""
         cosine = dot(direction, normal)[..., None]
@@ -190,8 +198,6 @@ class Tracer:
             sine = tangential / GLASS
             x = x + 2.0 * glass * sine / np.sqrt(1.0 - dot(sine, sine))[..., None]
         return x, out
-
-    # -- the way to the board -----------------------------------------------------------------------------------------
 
     def land(self, x, direction):
         """Board coordinates (..., 2) of rays from x."""
@@ -229,15 +235,15 @@ class Tracer:
         inside = np.sqrt(1.0 - dot(sine, sine))[..., None]
         return thick * (sine / inside - GLASS * sine / cosine)
 
-    # -- one ray, all rays --------------------------------------------------------------------------------------------
-
     def node(self, t, h, turned, lean):
         """Landing point of a node's light, and its power per mm² of the facet."""
         x, normal = self.facet(t, h, turned, lean)
         direction, density = self.beam(x)
         power = density * -dot(direction, normal)
+        if self.effects.get("glass", 0.0):
+            power = power * self.share_of_glass(-dot(direction, normal))
         if not self.recording.physics.beam:  # a ray of the pencil, of power 1
-            direction, power = np.broadcast_to(self.d, direction.shape), np.ones_like(power)
+            direction, power = np.broadcast_to(self.d, direction.shape), power / (density * -dot(direction, normal))
         return self.land(*self.reflect(x, normal, direction)), power
 
     def single(self, turned, lean=0.0):
@@ -249,8 +255,6 @@ class Tracer:
             along = unit(np.cross(np.broadcast_to(self.axis, normal.shape), normal))
             t, h = t + dot(step, along), h + dot(step, np.cross(normal, along))
         return self.land(*self.reflect(x, normal, np.broadcast_to(self.d, x.shape))), (t, h)
-
-    # -- profiles across a trace --------------------------------------------------------------------------------------
 
     def nodes(self, along, across):
         """Gauss-Legendre nodes (t, h) and weights [mm²] (t, h) of the facet; of a cylinder's pencil t is 0 [mm]."""
@@ -293,10 +297,14 @@ class Tracer:
         for lean in leans:
             land = (lambda e, k=lean: self.single(e, k)[0]) if ray else (lambda e, k=lean: self.node(t, h, e, k)[0])
             turned, q, speed = self.cut(land, points, tangent, start)
-            power = np.ones_like(q) if ray else self.node(t, h, turned, lean)[1]
+            power = self.node(t, h, turned, lean)[1] if not ray or self.effects.get("glass") else np.ones_like(q)
             spread.append(q)
             light.append(power * area / np.abs(speed) * self.share / len(leans))
-        return np.array(spread), np.array(light)
+        spread, light = np.array(spread), np.array(light)
+        if self.effects.get("glass", 0.0) and not self.ghost:  # the ghost's light lies across the same trace
+            more = replace(self, ghost=True).profiles(points, tangent, along, across)
+            spread, light = np.concatenate([spread, more[0]]), np.concatenate([light, more[1]])
+        return spread, light
 
     @property
     def share(self):
