@@ -116,12 +116,15 @@ def test_true_profile(letter, shape):
 @pytest.mark.parametrize(
     "angle",
     [
-        pytest.param(1e-3, id="1-mrad"),
+        pytest.param(1e-3, id="1-mrad", marks=pytest.mark.slow),
         pytest.param(4e-3, id="4-mrad"),
         pytest.param(
             6e-3,
             id="6-mrad",
-            marks=pytest.mark.xfail(strict=True, reason="the blur's second order moves the mean 1.6 µm, left out"),
+            marks=[
+                pytest.mark.slow,
+                pytest.mark.xfail(strict=True, reason="the blur's second order moves the mean 1.6 µm, left out"),
+            ],
         ),
     ],
 )

@@ -81,9 +81,9 @@ def test_facet_tilts(letter, size):
 
 @sizes({"wob_c": 0.1, "wob_s": -0.05}, {"wob_c": -1.0, "wob_s": 2.0})
 def test_axis_wobble(letter, size):
-    """Expects "tilt_k = wob_c cos(2πk/N) + wob_s sin(2πk/N)"; gated, its sign and phase."""
-    land(bench(letter), {"axis-wobble": size}, samples=13)
-    land(bench(letter, facet=2), {"axis-wobble": size})
+    """Expects "tilt_k = wob_c cos(2πk/N) + wob_s sin(2πk/N)", its sign and phase on gated facets."""
+    for facet in (2, 5):
+        land(bench(letter, facet=facet), {"axis-wobble": size}, samples=19)
 
 
 @sizes({"ped_x": 0.1, "ped_y": -0.05}, {"ped_x": -10.0, "ped_y": 6.0}, {"ped_y": 10.0})
@@ -236,9 +236,9 @@ def test_diffraction(letter, how):
     tangent = line(middle, 1) / np.linalg.norm(line(middle, 1))
     q = np.linspace(-6.0, 6.0, 601)
     profile = tracer.fresnel(line(middle), tangent, q, along=16, across=64)[0]
-    maps = (irradiance(bent, exposure, seed=seed, rays=1_000_000, pitch=PITCH) for seed in SEEDS)
+    maps = (irradiance(bent, exposure, seed=seed, rays=1_000_000, pitch=PITCH) for seed in SEEDS[:3])
     found = np.array([across(light, line, length, 6.0) for light in maps])
-    error = found.std(0, ddof=1) / np.sqrt(len(SEEDS))
+    error = found.std(0, ddof=1) / np.sqrt(len(found))
     assert np.abs(found.mean(0) - across_profile(q, profile, PITCH)).max() < 5e-4 + CHANCE * error.max()
 
 
