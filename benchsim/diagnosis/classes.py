@@ -186,7 +186,8 @@ def weighed(naming: Naming, stated: bool) -> Weighed:
         if stated:
             near, far = settings.parted(naming.setting_scales, fit.log_scales)
             total = np.logaddexp(near, far)
-            found[effects], found[(*effects, settings.NAME)] = z + near - total, z + far - total
+            found[effects] = float(z + near - total)
+            found[(*effects, settings.NAME)] = float(z + far - total)
         else:
             found[effects] = z
     done = [e for e, f in fits.items() if f.converged]
@@ -207,7 +208,7 @@ def complete(hypotheses: Weighed, best: Effects, within: Space) -> Weighed:
         for new in (None, *(n for n in within.index if n not in best)):
             effects = tuple(n for n in order if n in rest or n == new)
             if frozenset(effects) not in known:
-                z[effects] = z[best] + _gaussian(within, effects) - _gaussian(within, best)
+                z[effects] = float(z[best] + _gaussian(within, effects) - _gaussian(within, best))
     return replace(hypotheses, log_evidence=z)
 
 

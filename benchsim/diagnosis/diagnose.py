@@ -76,7 +76,9 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
             many = beside
         if law is not None and not findings.stands:
             on, found, opened = naming.null, (), ()
-    seen = naming if laid is None else replace(naming, noise=held_out.noise_beside(problem, naming, laid))
+    seen = naming
+    if laid is not None:
+        seen = replace(naming, noise=held_out.noise_beside(problem, naming, about, laid))
     shown = held_out.show(problem, many, judged.prepared)
     tell("what could be told apart", 0.93)
     grouped, ahead = _open(problem, judged, said, found, opened)

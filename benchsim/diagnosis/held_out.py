@@ -93,38 +93,49 @@ def folds(problem: Problem, naming: Naming, linear: Linear, laid: Attached | Non
         return ()
     number = {g: i % min(FOLDS, len(settings)) for i, g in enumerate(settings)}
     of = np.array([number[g] for g in problem.groups])[problem.block]
-    null, p = naming.linear, naming.linear.nuisance.shape[1]
-    raw, remove = _judged_by(problem, naming, laid)
-    again = _unwhiten(
-        problem, naming.noise.covariance, np.column_stack([linear.residual, linear.nuisance, linear.effect])
-    )
+    raw, remove = _judged_by(problem, naming, linear, laid)
     out = []
     for f in range(int(of.max()) + 1):
         test = of == f
-        fold_noise = noises.estimate(problem, raw[:, 0], remove, ~test)
-        at_null = _rewhiten(problem, null, raw, fold_noise.covariance, p)
-        fold_naming = replace(naming, noise=fold_noise, linear=at_null)
-        out.append(Fold(test, fold_naming, _rewhiten(problem, linear, again, fold_noise.covariance, p)))
+        fold = Fold(test, replace(naming, noise=noises.estimate(problem, raw, remove, ~test)), linear)
+        at_null = beside(problem, naming, fold, naming.linear)
+        out.append(
+            replace(fold, naming=replace(fold.naming, linear=at_null), linear=beside(problem, naming, fold, linear))
+        )
     return tuple(out)
 
 
-def noise_beside(problem: Problem, naming: Naming, laid: Attached) -> Noise:
+def beside(problem: Problem, naming: Naming, fold: Fold, linear: Linear) -> Linear:
+    """A linearisation that was whitened by a naming's noise, whitened by a fold's."""
+    p = linear.nuisance.shape[1]
+    all_of_it = np.column_stack([linear.residual, linear.nuisance, linear.effect])
+    raw = _unwhiten(problem, naming.noise.covariance, all_of_it)
+    white, logdet = whiten(problem, fold.naming.noise.covariance, raw)
+    return replace(linear, residual=white[:, 0], nuisance=white[:, 1 : 1 + p], effect=white[:, 1 + p :], logdet=logdet)
+
+
+def noise_beside(problem: Problem, naming: Naming, linear: Linear, laid: Attached) -> Noise:
     """Noise as all data show it beside a function: what that explains is no noise."""
-    raw, remove = _judged_by(problem, naming, laid)
-    return noises.estimate(problem, raw[:, 0], remove)
+    return noises.estimate(problem, *_judged_by(problem, naming, linear, laid))
 
 
-def _judged_by(problem: Problem, naming: Naming, laid: Attached | None) -> tuple[Array, Array]:
-    """Residual, nuisances and effects about the null in the data's units, and the columns that are no noise."""
-    null = naming.linear
-    raw = _unwhiten(problem, naming.noise.covariance, np.column_stack([null.residual, null.nuisance, null.effect]))
+def _judged_by(problem: Problem, naming: Naming, linear: Linear, laid: Attached | None) -> tuple[Array, Array]:
+    """Residual about a linearisation in the data's units, and the columns that are no noise.
+
+    Far from the data even what is smooth bends away from its columns: about the null of a mount that is 100 mrad off it
+    would pass for errors of some mrad.
+    """
+    all_of_it = np.column_stack([linear.residual, linear.nuisance, linear.effect])
+    raw = _unwhiten(problem, naming.noise.covariance, all_of_it)
     known = {q.name: q for e in problem.catalogue for q in e.parameters}
-    sigma = np.concatenate([np.ones(null.nuisance.shape[1]), [known[n].sigma ** known[n].power for n in null.names]])
+    sigma = np.concatenate(
+        [np.ones(linear.nuisance.shape[1]), [known[n].sigma ** known[n].power for n in linear.names]]
+    )
     functions = smooth_functions(problem)
     if laid is not None:
         a = laid.attachment
         functions.append(a.basis @ kernel_root(a, min(a.lengths)) * a.sigma)
-    return raw, np.column_stack([raw[:, 1:] * sigma, *functions])
+    return raw[:, 0], np.column_stack([raw[:, 1:] * sigma, *functions])
 
 
 def _unwhiten(problem: Problem, covariance: tuple[Array, ...], white: Array) -> Array:
@@ -133,11 +144,6 @@ def _unwhiten(problem: Problem, covariance: tuple[Array, ...], white: Array) -> 
         rows = problem.rows(b)
         out[rows] = np.linalg.cholesky(c) @ white[rows]
     return out
-
-
-def _rewhiten(problem: Problem, linear: Linear, raw: Array, covariance: tuple[Array, ...], p: int) -> Linear:
-    white, logdet = whiten(problem, covariance, raw)
-    return replace(linear, residual=white[:, 0], nuisance=white[:, 1 : 1 + p], effect=white[:, 1 + p :], logdet=logdet)
 
 
 def only(linear: Linear, keep: NDArray[np.bool_]) -> Linear:

@@ -101,7 +101,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         not best.fit.effects or not more or _with(problem, naming, more[0], modes)[1].acceptable,
     )
     if best.fit.effects and many:
-        findings = _predicted(problem, many, findings, best)
+        findings = _predicted(problem, naming, many, findings, best)
     if findings.stands and findings.something_left and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING:
         best = _beside(problem, naming, best, more[0])
         findings = replace(findings, claim=best.claim)
@@ -147,23 +147,31 @@ def _written(
         for e in lone
         if verdict.confidence(best.hypotheses.probability([(e,)]), findings) in verdict.CERTAIN and problem.stated
     }
-    fits = {f.effects: f for f in naming.fits if f.converged} | {(): naming.null}
-    kept = predictive.simplest(problem, many, effects, tuple(e for e in effects if e in sure))
-    if kept == effects or kept not in fits:
-        return best.fit, lone, opened
-    gone = [e for e in effects if e not in kept]
-    notes.append(
-        f"Left-out {'settings' if problem.stated else 'records'} are predicted as well without {', '.join(gone)}."
-    )
-    still = tuple(g for g in opened if set(g[0]) <= {*kept, settings.NAME})
-    if not kept:
-        still = (((), *(h for h in [best.effects])),)
-    return fits[kept], tuple(e for e in lone if e in kept or e == settings.NAME), still
+    others = [
+        f
+        for f in naming.fits
+        if f.converged
+        and f.effects != effects
+        and sure <= {*f.effects, settings.NAME}
+        and (set(f.effects) <= set(effects) or not problem.stated)
+    ]
+    fit = predictive.simplest(problem, naming, many, [best.fit, *others])
+    if fit.effects == effects:
+        return fit, lone, opened
+    of = "settings" if problem.stated else "records"
+    instead = " + ".join(fit.effects) or "nothing"
+    notes.append(f"{' + '.join(effects)} fits best; left-out {of} are predicted as well, or better, by {instead}.")
+    still = tuple(g for g in opened if set(g[0]) <= {*fit.effects, settings.NAME})
+    if not fit.effects:
+        still = (((), best.effects),)
+    taken = {e for g in still for e in g[0]}
+    kept = (*fit.effects, *(e for e in lone if e == settings.NAME))
+    return fit, tuple(e for e in kept if e not in taken), still
 
 
-def _predicted(problem: Problem, many: tuple[Fold, ...], findings: Findings, best: Best) -> Findings:
+def _predicted(problem: Problem, naming: Naming, many: tuple[Fold, ...], findings: Findings, best: Best) -> Findings:
     """By how much the claim predicts left-out settings better than what is stated, and the best function than it."""
-    as_stated, with_names = predictive.stated(many), predictive.named(problem, many, best.fit.effects)
+    as_stated, with_names = predictive.stated(many), predictive.named(problem, naming, many, best.fit)
     won, sigma = predictive.gain(many, as_stated, with_names)
     outdone = None
     if findings.free and findings.margin < verdict.PROBABLE_MARGIN:

@@ -68,7 +68,7 @@ def locate(explanations: Sequence[Explanation]) -> Location | None:
     best = max(explanations, key=lambda e: e.log_evidence)
     others = [e.log_evidence for e in explanations if e.element != best.element]
     margin = best.log_evidence - max(others) if others else float("inf")
-    claimed = bool(others) and margin > CLAIM + best.left
+    claimed = bool(others and margin > CLAIM + best.left)
     return Location(best.element, best.coordinate, claimed, float(margin), ())
 
 

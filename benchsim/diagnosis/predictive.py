@@ -10,15 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis.attachments import Attached, prepare, weigh, whitened
 from benchsim.diagnosis.classes import estimate, space
-from benchsim.diagnosis.fits import Effects
-from benchsim.diagnosis.held_out import Fold, best_scale, excess, only
+from benchsim.diagnosis.fits import Fit, Naming
+from benchsim.diagnosis.held_out import Fold, beside, best_scale, excess, only
 from benchsim.diagnosis.linear import Linear, whiten
 from benchsim.diagnosis.problem import Problem
 
@@ -59,18 +58,18 @@ def stated(many: Sequence[Fold]) -> Model:
     return Model(about, tuple(a.residual for a in about), tuple(scale))
 
 
-def named(problem: Problem, many: Sequence[Fold], effects: Effects) -> Model:
-    """Effects with the sizes that the other settings give them, about the fit of all."""
-    known = {p.name: p.sigma**p.power for e in problem.catalogue if e.name in effects for p in e.parameters}
+def named(problem: Problem, naming: Naming, many: Sequence[Fold], fit: Fit) -> Model:
+    """A hypothesis with the sizes that the other settings give its effects, about its own fit."""
+    known = {p.name: p.sigma**p.power for e in problem.catalogue for p in e.parameters}
+    size = np.array([known[n] for n in fit.linear.names])
+    about = [beside(problem, naming, fold, fit.linear) for fold in many]
     residual, scales = [], []
-    for fold in many:
-        train = only(fold.linear, ~fold.test)
-        own = [i for i, n in enumerate(train.names) if n in known]
-        size = np.array([known[train.names[i]] for i in own])
-        scale = best_scale(train, fold.naming, train.effect[:, own] * size)
-        residual.append(fold.linear.residual - fold.linear.effect @ estimate(space(problem, train, scale), effects))
+    for fold, at in zip(many, about, strict=True):
+        train = only(at, ~fold.test)
+        scale = best_scale(train, fold.naming, train.effect * size)
+        residual.append(at.residual - at.effect @ estimate(space(problem, train, scale), fit.effects))
         scales.append(scale)
-    return Model(tuple(f.linear for f in many), tuple(residual), tuple(scales))
+    return Model(tuple(about), tuple(residual), tuple(scales))
 
 
 def function(problem: Problem, many: Sequence[Fold], laid: Attached) -> Model:
@@ -99,31 +98,24 @@ def gain(many: Sequence[Fold], before: Model, after: Model) -> tuple[float, floa
     return total, 2.0 * float(np.sqrt(max(power, 0.0)))
 
 
-def simplest(problem: Problem, many: Sequence[Fold], effects: Effects, kept: Effects) -> Effects:
-    """The best-predicting part of a set of effects that holds ``kept``, or a smaller part that predicts as well.
+def simplest(problem: Problem, naming: Naming, many: Sequence[Fold], fits: Sequence[Fit]) -> Fit:
+    """The best-predicting of several hypotheses, or a part of it that predicts as well.
 
     Parameters
     ----------
     problem : Problem
+    naming : Naming
     many : sequence of Fold
-        About the fit of ``effects``.
-    effects : Effects
-    kept : Effects
-        Those that are in the model whatever is predicted.
+    fits : sequence of Fit
+        Converged; the first is taken where nothing can be left out.
     """
-    loose = [e for e in effects if e not in kept]
-    sets = [
-        tuple(e for e in effects if e in kept or e in more)
-        for k in range(len(loose) + 1)
-        for more in combinations(loose, k)
-    ]
-    if not many or len(sets) < 2:
-        return effects
-    models = {s: named(problem, many, s) for s in sets}
-    base = models[effects]
-    best = max(sets, key=lambda s: gain(many, base, models[s])[0])
-    for s in sets:  # the smallest come first
-        lost, sigma = gain(many, models[s], models[best])
-        if set(s) <= set(best) and lost <= AS_WELL * sigma:
-            return s
-    return best
+    if not many or len(fits) < 2:
+        return fits[0]
+    models = [named(problem, naming, many, f) for f in fits]
+    won = [gain(many, models[0], m)[0] for m in models]
+    best = int(np.argmax(won))
+    for k in sorted(range(len(fits)), key=lambda k: (len(fits[k].effects), -won[k])):
+        lost, sigma = gain(many, models[k], models[best])
+        if set(fits[k].effects) <= set(fits[best].effects) and lost <= AS_WELL * sigma:
+            return fits[k]
+    return fits[best]
