@@ -88,11 +88,9 @@ def folds(problem: Problem, naming: Naming, linear: Linear, laid: Attached | Non
         The function that stands in for what has no name. What it leaves is the noise; what it explains is not, and
         would otherwise be taken for errors that neighbours share.
     """
-    settings = list(dict.fromkeys(problem.groups))
-    if len(settings) < FEWEST:
+    if len(set(problem.groups)) < FEWEST:
         return ()
-    number = {g: i % min(FOLDS, len(settings)) for i, g in enumerate(settings)}
-    of = np.array([number[g] for g in problem.groups])[problem.block]
+    of = in_turn(problem)[problem.block]
     raw, remove = _judged_by(problem, naming, linear, laid)
     out = []
     for f in range(int(of.max()) + 1):
@@ -103,6 +101,18 @@ def folds(problem: Problem, naming: Naming, linear: Linear, laid: Attached | Non
             replace(fold, naming=replace(fold.naming, linear=at_null), linear=beside(problem, naming, fold, linear))
         )
     return tuple(out)
+
+
+def in_turn(problem: Problem) -> NDArray[np.intp]:
+    """Fold of every block: settings one after the other, or, of records in the order of time, neighbours together.
+
+    What neighbours in time share, be it only a season's sky, must not come from them: a mount is learnt yesterday and
+    pointed tomorrow.
+    """
+    groups = list(dict.fromkeys(problem.groups))
+    count = min(FOLDS, len(groups))
+    number = {g: i % count if problem.stated else i * count // len(groups) for i, g in enumerate(groups)}
+    return np.array([number[g] for g in problem.groups])
 
 
 def beside(problem: Problem, naming: Naming, fold: Fold, linear: Linear) -> Linear:

@@ -11,6 +11,7 @@ from benchsim.diagnosis import (
     attachments,
     classes,
     evidence,
+    forward,
     held_out,
     location,
     predictive,
@@ -121,7 +122,8 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     elif said == "nothing-missing":
         opened = _doubted(problem, naming, best.hypotheses)
         said = "class" if opened else said
-    stated = widened(problem, naming.noise.covariance, on, [e for e in lone if e != settings.NAME])
+    fitted = [e for e in lone if e != settings.NAME] if any(f is on for f in naming.fits) else []
+    stated = widened(problem, naming.noise.covariance, on, fitted)
     scale = settings.size(naming.setting_scales, on.log_scales)
     found, more_notes = verdict.found(problem, findings, stated, best.hypotheses, lone, scale)
     return Judged(said, found, opened, place, on, best, findings, prepared, many, (*notes, *more_notes))
@@ -153,9 +155,14 @@ def _written(
         if f.converged
         and f.effects != effects
         and sure <= {*f.effects, settings.NAME}
-        and (set(f.effects) <= set(effects) or not problem.stated)
+        and set(f.effects) <= set(effects)
     ]
-    fit = predictive.simplest(problem, naming, many, [best.fit, *others])
+    if not many:
+        return best.fit, lone, opened
+    if problem.stated:
+        fit = predictive.simplest(problem, naming, many, [best.fit, *others])
+    else:
+        fit = _forward(problem, naming, best.fit)
     if fit.effects == effects:
         return fit, lone, opened
     of = "settings" if problem.stated else "records"
@@ -167,6 +174,12 @@ def _written(
     taken = {e for g in still for e in g[0]}
     kept = (*fit.effects, *(e for e in lone if e == settings.NAME))
     return fit, tuple(e for e in kept if e not in taken), still
+
+
+def _forward(problem: Problem, naming: Naming, fit: Fit) -> Fit:
+    """The model that predicts best, where nobody stated the errors."""
+    likely = [f.effects for f in naming.fits if f.converged and f.effects != fit.effects][:2]
+    return forward.as_fit(problem, naming, forward.best(problem, naming, [fit.effects, *likely]))
 
 
 def _predicted(problem: Problem, naming: Naming, many: tuple[Fold, ...], findings: Findings, best: Best) -> Findings:

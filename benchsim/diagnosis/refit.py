@@ -70,9 +70,10 @@ SLOW = 0.1
 """Part of a misfit beyond doubt that each of them has to take away: a hypothesis that is wrong by far is not followed
 through every valley."""
 
-BENT = 1.5
-"""Setting scale from which a fit's settings are taken to hide an effect, until others that begin at the stated ones
-have ended no better."""
+BENT = 1.4
+"""Most probable setting scale from which a fit's settings are taken to hide an effect, until others that begin at the
+stated ones have ended no better. The price is time in two of a hundred clean sets of six settings; a tilt and a coma of
+15 sigma each were imitated at 1.46."""
 
 
 def misses(context: Context, solved: Solved) -> bool:

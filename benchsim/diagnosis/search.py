@@ -161,10 +161,11 @@ def _explore(walk: _Walk, refits: int, tell: Progress) -> None:
         table.log_z[pick], table.source[pick] = solved.fit.log_evidence, source.fit.effects
         # A fit that came near says what it could do without, though nothing rests on it while it has not converged.
         if solved.fit.converged or not refit.misses(context, solved):
-            if refit.misses(context, null) and solved.fit.log_evidence == max(
+            if refit.strayed(context, null) and solved.fit.log_evidence == max(
                 s.fit.log_evidence for s in done.values()
             ):
-                # What a large effect brings with it (diffraction needs a beam) is not seen about a null without it.
+                # What a large effect brings with it (diffraction needs a beam) is not seen about a null without it, nor
+                # what settings hide about a null that they were bent for.
                 walk.catalogue = screen.expand(context.problem, solved.fit.values)
                 walk.white = context.whiten(walk.catalogue.columns)
             weigh_again(context, walk.catalogue, walk.white, solved, table, done)

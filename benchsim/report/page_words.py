@@ -212,7 +212,7 @@ def ended(sentence: str) -> str:
 
 
 def _size(s: Json) -> str:
-    return minus(rounded(Size(s["value"], s["sigma"], s["unit"])))
+    return minus(rounded(Size(s["value"], float("nan") if s["sigma"] is None else s["sigma"], s["unit"])))
 
 
 def _separation(s: Json) -> str:
