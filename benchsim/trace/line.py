@@ -34,6 +34,7 @@ from benchsim.trace.start import centred_curve
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp]
 
 FAINT_SIGMA = 5.0
 """Flux over its sigma below which the centre's error is not Gaussian any more; 3e-7 false alarms per profile."""
@@ -100,11 +101,10 @@ class Line:
 def measure_line(picture: Picture, coarse: CoarseCurve, reach: float) -> Line:
     """Measure the ridge near a coarse curve.
 
-    The centre is the centroid of the light across the curve: the line's mean shape is fitted to every profile, and the
-    shape's centroid, in a window about itself and with the tails' moment, gives the position. Saturated pixels are left
-    out, and those that their neighbourhood lifts to within four sigma of it, two of speckle: only the ones that noise
-    lowered would stay. Speckle that saturates a twentieth of the crest still makes a line one or two per cent too wide:
-    expose shorter.
+    The line's mean shape is fitted to every profile, and the shape's `centre.centre` gives the position. Saturated
+    pixels are left out, and those that their neighbourhood lifts to within four sigma of it, two of speckle: only the
+    ones that noise lowered would stay. Speckle that saturates a twentieth of the crest still makes a line one or two
+    per cent too wide: expose shorter.
 
     Parameters
     ----------
@@ -184,13 +184,17 @@ def _view(picture: Picture, band: Band, core: float) -> _View:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """``shape`` and ``profiles`` in units of (n − ``drift``) / ``zoom``; ``strong`` (k,): flux well above its noise."""
+    """``shape`` and ``profiles`` in units of (n − ``drift``) / ``zoom``; ``strong`` (k,): flux well above its noise.
+
+    ``moved`` (k,): by how much what the fit leaves of each profile's light moves its centre.
+    """
 
     shape: Shape
     profiles: Profiles
     drift: Array
     zoom: Array
     strong: Mask
+    moved: Array
     slope_factor: Array | None
 
 
@@ -254,7 +258,9 @@ def _fit(view: _View, span: tuple[float, float], core: float, half_width: float)
             use = _below_the_ceiling(view, view.under + line + background[:, None], shot, grain)
     assert profiles is not None
     stretch = stretches(x, light, np.where(near, 1 / variance, 0.0), band.t, shape, near_by)
-    return _Fitted(shape, replace(profiles, stretch=stretch), drift, zoom, strong, slope_factor)
+    left = np.where(near, light - profiles.model, 0.0) / np.maximum(profiles.flux * zoom, 1e-30)[:, None]
+    moved = shape.moved(x - profiles.shift[:, None], left)
+    return _Fitted(shape, replace(profiles, stretch=stretch), drift, zoom, strong, moved, slope_factor)
 
 
 def _below_the_ceiling(view: _View, level: Array, shot: Array, grain: Array) -> Mask:
@@ -304,7 +310,7 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
     kept = require(status)
     status[kept & _misshapen(profiles, kept)] = MISSHAPEN
     kept = require(status)
-    offset = fitted.drift + (profiles.shift + shape.centroid(t)) * zoom
+    offset = fitted.drift + (profiles.shift + shape.centre(t)) * zoom
     sigma = profiles.shift_sigma * zoom
     threshold = stats.norm.isf(FALSE_ALARM / (2 * kept.sum()))
     for _ in range(3):
@@ -317,11 +323,11 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
         kept = require(status)
     k = np.flatnonzero(kept)
     sigma = sigma * _flank_scale(saturated > 0, kept, pull)
-    noise = centre_noise(t[k], offset[k], sigma[k], spline_basis(t[k], span, 40.0))
+    basis = spline_basis(t[k], span, 40.0)
+    noise = centre_noise(t[k], offset[k], sigma[k], basis)
+    free = k[saturated[k] == 0]
+    factor = [_of_the_shape(shape, t, fitted.moved * zoom, sigma, free, k)]
     sigma = sigma[k] * noise.scale
-    factor = [_beyond_shifts(shape, t[k], sigma / zoom[k], noise) * zoom[k, None]]
-    if shape.doubt > 0:
-        factor.append((shape.doubt / shape.integral(t[k]) * zoom[k])[:, None])
     if fitted.slope_factor is not None:
         response = shape.slope_response * zoom[k] ** 2 / profiles.flux[k]
         factor.append(fitted.slope_factor[k] * response[:, None])
@@ -374,15 +380,16 @@ def _misshapen(profiles: Profiles, among: Mask) -> Mask:
     return root - centre > stats.norm.isf(FALSE_ALARM / among.sum()) * spread
 
 
-def _beyond_shifts(shape: Shape, t: Array, sigma: Array, noise: CentreNoise) -> Array:
-    """The part of the centroid's common error that the independent errors of the profiles do not contain already.
+def _of_the_shape(shape: Shape, t: Array, moved: Array, sigma: Array, free: Rows, kept: Rows) -> Array:
+    """Common error (kept, terms) of the centre of the mean shape, beyond the profiles' own errors [px].
 
-    The shape is measured on the same pixels: its smooth shifts are the profiles' own noise, averaged. Only what the
-    centroid is worse than that comes on top.
+    The shape is fitted to all profiles, and its centre is that of their light: each profile's centre is its own shift
+    and what the rest of its light moves it by. The mean over the profiles of that rest is the shape's error; its noise
+    is read from how the rest scatters along the line, correlation of neighbours included.
     """
-    inflation = 1 + noise.correlation_length
-    factor = shape.factor * noise.scale * np.sqrt(inflation)
-    terms = legendre(t, shape.span, shape.order) / shape.integral(t)[:, None]
-    own = np.linalg.pinv(np.einsum("k,ka,kb->ab", 1 / sigma**2, terms, terms)) * inflation
-    value, vector = np.linalg.eigh(factor @ factor.T - own)
-    return terms @ (vector * np.sqrt(np.maximum(value, 0.0)))
+    terms = legendre(t, shape.span, shape.order)
+    smooth = legendre(t[free], shape.span, MAX_ORDER)
+    noise = centre_noise(t[free], moved[free], sigma[free], smooth)
+    weighted = terms[free] / (sigma[free] * noise.scale)[:, None]
+    value, vector = np.linalg.eigh(np.linalg.pinv(weighted.T @ weighted) * (1 + noise.correlation_length))
+    return np.asarray(terms[kept] @ (vector * np.sqrt(np.maximum(value, 0.0))))

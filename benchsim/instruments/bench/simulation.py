@@ -132,10 +132,12 @@ def _simulated(
     t = np.linspace(low, high, 2 * SHAPE_BINS + 1)[1::2]
     j = _pose_shift(seen, solved, beside(curve, s, np.zeros(len(s))), _normals(curve, s))
     covariance = np.diag(np.full(len(s), centre_sigma**2)) + corner_sigma**2 * j @ j.T
+    points = beside(curve, t, np.zeros(len(t)))
+    scale = mm_per_px(solved, points, _normals(curve, t))
+    behind = rays.predict(nominal(recording), exposure, blur=blur * float(scale.mean()))
+    aside = np.zeros(len(s)) if behind.aside is None else np.interp(s, arc, behind.aside)
     shape = no_shape()
     if camera.gamma != "unknown" and curve.width is not None and curve.flux is not None:
-        points = beside(curve, t, np.zeros(len(t)))
-        scale = mm_per_px(solved, points, _normals(curve, t))
         width2 = np.interp(t, arc, curve.width) ** 2 + (blur * scale) ** 2
         shape = {
             "profile_points": points,
@@ -151,7 +153,7 @@ def _simulated(
     return Observed(
         index=index,
         name=exposure.name,
-        points=beside(curve, s, np.zeros(len(s))),
+        points=beside(curve, s, aside),
         s=s,
         covariance=covariance,
         view=seen,
