@@ -310,7 +310,9 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
     kept = require(status)
     status[kept & _misshapen(profiles, kept)] = MISSHAPEN
     kept = require(status)
-    offset = fitted.drift + (profiles.shift + shape.centre(t)) * zoom
+    free = np.flatnonzero(kept & (saturated == 0))
+    left_out, factor = _of_the_shape(t, shape.span, fitted.moved, profiles.shift_sigma, free)
+    offset = fitted.drift + (profiles.shift + shape.centre(t) + left_out) * zoom
     sigma = profiles.shift_sigma * zoom
     threshold = stats.norm.isf(FALSE_ALARM / (2 * kept.sum()))
     for _ in range(3):
@@ -323,14 +325,12 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
         kept = require(status)
     k = np.flatnonzero(kept)
     sigma = sigma * _flank_scale(saturated > 0, kept, pull)
-    basis = spline_basis(t[k], span, 40.0)
-    noise = centre_noise(t[k], offset[k], sigma[k], basis)
-    free = k[saturated[k] == 0]
-    factor = [_of_the_shape(shape, t, fitted.moved * zoom, sigma, free, k)]
+    noise = centre_noise(t[k], offset[k], sigma[k], spline_basis(t[k], span, 40.0))
     sigma = sigma[k] * noise.scale
+    factors = [factor[k] * zoom[k, None]]
     if fitted.slope_factor is not None:
         response = shape.slope_response * zoom[k] ** 2 / profiles.flux[k]
-        factor.append(fitted.slope_factor[k] * response[:, None])
+        factors.append(fitted.slope_factor[k] * response[:, None])
     normal = band.normal[k]
     gone = np.flatnonzero(status != KEPT)
     return Line(
@@ -343,7 +343,7 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
         flux=(profiles.flux * zoom)[k],
         skewness=shape.skewness(t[k]),
         saturated=saturated[k],
-        shape_factor=np.concatenate(factor, axis=1),
+        shape_factor=np.concatenate(factors, axis=1),
         noise=noise,
         core=shape.core,
         half_width=shape.half_width,
@@ -380,16 +380,18 @@ def _misshapen(profiles: Profiles, among: Mask) -> Mask:
     return root - centre > stats.norm.isf(FALSE_ALARM / among.sum()) * spread
 
 
-def _of_the_shape(shape: Shape, t: Array, moved: Array, sigma: Array, free: Rows, kept: Rows) -> Array:
-    """Common error (kept, terms) of the centre of the mean shape, beyond the profiles' own errors [px].
+def _of_the_shape(t: Array, span: tuple[float, float], moved: Array, sigma: Array, free: Rows) -> tuple[Array, Array]:
+    """What the mean shape leaves out of the centres (k,), and the common error that is left (k, terms), both [px].
 
     The shape is fitted to all profiles, and its centre is that of their light: each profile's centre is its own shift
-    and what the rest of its light moves it by. The mean over the profiles of that rest is the shape's error; its noise
-    is read from how the rest scatters along the line, correlation of neighbours included.
+    and what the rest of its light moves it by. Of that rest a cubic along the line is common: what of it the shape does
+    not follow, for want of significance, is put back, and its error is read from how the rest scatters, correlation of
+    neighbours included. ``free`` are the profiles that show it.
     """
-    terms = legendre(t, shape.span, shape.order)
-    smooth = legendre(t[free], shape.span, MAX_ORDER)
-    noise = centre_noise(t[free], moved[free], sigma[free], smooth)
+    terms = legendre(t, span, MAX_ORDER)
+    noise = centre_noise(t[free], moved[free], sigma[free], terms[free])
     weighted = terms[free] / (sigma[free] * noise.scale)[:, None]
-    value, vector = np.linalg.eigh(np.linalg.pinv(weighted.T @ weighted) * (1 + noise.correlation_length))
-    return np.asarray(terms[kept] @ (vector * np.sqrt(np.maximum(value, 0.0))))
+    inverse = np.linalg.pinv(weighted.T @ weighted, rcond=1e-9)
+    found = inverse @ (weighted.T @ (moved[free] / (sigma[free] * noise.scale)))
+    value, vector = np.linalg.eigh(inverse * (1 + noise.correlation_length))
+    return terms @ found, terms @ (vector * np.sqrt(np.maximum(value, 0.0)))

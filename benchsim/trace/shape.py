@@ -24,8 +24,7 @@ KNOT_STEP = (0.5, 1.5)
 
 MAX_ORDER = 3
 """Highest Legendre order of the change along the line; the order used is the one of least AIC. BIC, which guards
-against a term of too much, left changes out that moved the centres of one end against the other's by 13 µm, a sixth of
-a thousandth of χ² per pixel but nine sigma of what was said of the slope; a term of too much costs its own noise."""
+against a term of too much, left changes out that moved the centres of one end against the other's by 13 µm."""
 
 CHANGE = 0.3
 """1 sigma of the prior on each term of change along the line, in units of the peak: holds what saturation hides."""

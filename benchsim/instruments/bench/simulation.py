@@ -16,6 +16,7 @@ from benchsim.instruments.bench.observed import (
     FLUX_FLOOR,
     SHAPE_BINS,
     WIDTH_FLOOR,
+    WIDTH_SLOPE,
     Observed,
     beside,
     mm_per_px,
@@ -144,7 +145,7 @@ def _simulated(
             "profile_s": t,
             "width2": width2,
             "width2_covariance": np.diag((2 * width_fraction * width2) ** 2)
-            + smooth_floor(t, 2 * WIDTH_FLOOR * width2),
+            + smooth_floor(t, 2 * WIDTH_FLOOR * width2, 2 * WIDTH_SLOPE * width2),
             "log_flux": np.log(np.interp(t, arc, curve.flux)),
             "log_flux_covariance": np.diag(np.full(len(t), flux_sigma**2))
             + smooth_floor(t, np.full(len(t), FLUX_FLOOR)),
