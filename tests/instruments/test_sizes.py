@@ -61,7 +61,7 @@ def test_the_size_is_the_rms_by_which_the_trace_moves(made):
 
 
 def test_it_is_of_the_fitted_point_and_of_each_switch_alone(made):
-    """All three together; diffraction changes the width and moves hardly anything. A share of 0 is still as uncertain."""
+    """All three together; diffraction changes the width and moves little. A share of 0 is still as uncertain."""
     _, problem = made
     d = diagnosis({"facets": ("facets", 0.9), "finite-beam": ("beam", 0.95), "diffraction": ("fresnel", 0.8)})
     got = {f.name: f.parameters["size_mm"] for f in sizes.sized(problem, d).effects}
