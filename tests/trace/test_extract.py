@@ -248,6 +248,16 @@ def test_photographs_of_other_code(number):
     assert not (np.abs(trace.points[None] - centres[:, None]) < half).all(axis=2).any()
 
 
+def test_a_board_of_few_counts_without_noise_is_no_print(tmp_path):
+    """Scenario. JPEG smooths a quiet picture until most pixels beside the line are alike; those one count darker were
+    taken for print, and 561 of 590 profiles were dropped."""
+    scene, light, _ = exposed(2, 8)
+    counts = np.round((light.line + light.room) * 255 / pictures.FULL_WELL).astype(np.uint8)
+    photo = read_image(pictures.encode(tmp_path / "image", counts, 90), scene.camera)
+    trace = only_ridge(measure(photo, None, pictures.true_pose(scene), Screen(), scene.blur))
+    assert len(trace) > 600
+
+
 def test_a_wholly_saturated_ridge_is_refused(tmp_path):
     scene, photo, ground = taken(tmp_path, 4, 16, True, brighter=3.0)
     with pytest.raises(BenchsimError, match="saturated"):
