@@ -16,7 +16,7 @@ line; ``jpeg`` of quality 85 to 95 and 8 bits; ``phone`` the same with sRGB's cu
 six settings of a concealed trial's benches, blur, gain and room light drawn. ``other``: photographs by other code in
 ``../shared/recordings`` but for those of a tilted board, whose marks are not the noise's.
 
-One line per picture; what is there is not done again. Half a minute of CPU for a recording of six.
+One line per picture; what is there is not done again. 35 s of CPU for a recording of six, 10 where it is kept.
 """
 
 from __future__ import annotations
