@@ -1,6 +1,7 @@
 """Photographs of a known curve on the board, made without any of benchsim's optics, for the studies of the ridge.
 
-A circular arc of known radius lies on the board; across it the light has a known shape whose centroid is the arc.
+A circular arc of known radius lies on the board; across it the light has a known shape whose mean is the arc, and whose
+`centre.centre` behind the blur lies beside it by what `beside_arc` says.
 OpenCV undoes lens and perspective for 4 x 4 points in every pixel of a band; their mean is the pixel's light, blurred
 by a Gaussian, with shot and read noise, quantised.
 """
@@ -17,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.special import fresnel
 
 from benchsim.bench.model import Camera
+from benchsim.rays.width import placed
 from benchsim.trace.band import band_along
 from benchsim.trace.pose import Pose
 
@@ -112,6 +114,25 @@ def to_arc(scene: Scene, board: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     d = board - scene.centre
     turn = np.angle(np.exp(1j * (np.arctan2(d[..., 1], d[..., 0]) - scene.middle)))
     return scene.radius * turn, np.linalg.norm(d, axis=-1) - scene.radius
+
+
+def beside_arc(scene: Scene, s: np.ndarray) -> np.ndarray:
+    """How far outward of the arc the centre of its light lies behind blur and pixel, at s [mm], (n,) mm."""
+    at = np.linspace(s.min(), s.max(), 9)
+    along, out = arc(scene, at + 0.5) - arc(scene, at - 0.5), arc(scene, at) - scene.centre
+    step = out / np.linalg.norm(out, axis=1, keepdims=True)
+    tangent, moved = (
+        to_pixels(scene, arc(scene, at) + 0.5 * d) - to_pixels(scene, arc(scene, at) - 0.5 * d) for d in (along, step)
+    )
+    crossed = np.abs(tangent[:, 0] * moved[:, 1] - tangent[:, 1] * moved[:, 0])
+    width = scene.width * (1 + scene.width_slope * at / 350)
+    blur = np.hypot(scene.blur, 12**-0.5) * np.linalg.norm(tangent, axis=1) / crossed / width
+    x, light = shape_table(scene)
+    fine = slice(0, None, 20)
+    near = np.abs(x[fine]) < 12
+    x, light = x[fine][near], light[fine][near]
+    _, found = placed(np.tile(x, (len(at), 1)), np.tile(light, (len(at), 1)), blur[:, None])
+    return np.interp(s, at, found * width)
 
 
 def arc(scene: Scene, s: np.ndarray) -> np.ndarray:

@@ -82,6 +82,7 @@ def study(kind: str, geometries: int, seed: int, folder: Path, draws: int = 1) -
         for _ in range(draws):
             trace = photograph(scene, light, folder, rng, bits, dark, 90 if kind == "jpeg" else None)
             s, outward = pictures.to_arc(scene, trace.points)
+            outward = outward - pictures.beside_arc(scene, s)
             _, beyond = pictures.to_arc(scene, trace.points + 1e-3 * trace.normal)
             bound = None
             if kind == "plain":

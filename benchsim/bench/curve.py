@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ class Curve:
     parting : (n,) mm², or None
         What lines of their own that facets draw, and shaking, add to the mean square of the light's offset across the
         curve; None: nothing.
+    aside : (n,) mm, or None
+        How far to the left of travel from ``points``, the mean of the light, its `centre.centre` lies, which is where a
+        photograph's trace is; None: nowhere else.
     """
 
     points: Array
@@ -36,6 +39,17 @@ class Curve:
     flux: Array | None = None
     phase: Array | None = None
     parting: Array | None = None
+    aside: Array | None = None
+
+    def at_centre(self) -> Curve:
+        """The curve on which a photograph's trace lies: ``points`` moved by ``aside``."""
+        if self.aside is None:
+            return self
+        spline = CubicSpline(np.arange(len(self.points)), self.points)
+        along = spline(np.arange(len(self.points)), 1)
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        points = self.points + self.aside[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)
+        return replace(self, points=points, aside=None)
 
     def arc_length(self) -> Array:
         """Arc length from the first point (mm), of the chord polygon."""

@@ -128,6 +128,7 @@ def validate_fit(fitted: FitResult, *, progress: Progress = silent) -> Validatio
                 s=main.s_mm,
                 covariance=trace.covariance(main),
                 measured=_measured(fitted.recording, f.trace.pose),
+                blur=main.noise[0].blur_mm,
             )
         )
     return ValidationResult(fitted.recording, tuple(out), fitted.lost)

@@ -84,8 +84,8 @@ def trace(bench: Bench, samples: int = 96, *, width: bool = True) -> Curve:
         if found.resolved:
             return found.curve()
     points, _, nodes = beam_profiles(bench, phase)
-    wide = widths(bench, nodes) if width else None
-    return Curve(points, wide, nodes.flux, nodes.mean(nodes.phase), nodes.parting(bench.parts.timing.shake))
+    wide, aside = widths(bench, nodes).T if width else (None, None)
+    return Curve(points, wide, nodes.flux, nodes.mean(nodes.phase), nodes.parting(bench.parts.timing.shake), aside)
 
 
 def _ray_curve(bench: Bench, phase: Array, *, width: bool = True) -> Curve:
@@ -254,7 +254,8 @@ def irradiance_profiles(
         raise BenchsimError("physics.beam: false, a single ray has no profile; set it to true")
     check(bench)
     points, _, nodes = beam_profiles(bench, sample_phases(bench, samples))
-    curve = Curve(points, widths(bench, nodes), nodes.flux, nodes.mean(nodes.phase))
+    width, aside = widths(bench, nodes).T
+    curve = Curve(points, width, nodes.flux, nodes.mean(nodes.phase), None, aside)
     return curve, irradiance_across(bench, nodes, np.broadcast_to(q, (len(points), len(q))))
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.bench.centre import influence
 from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.errors import BenchsimError
 from benchsim.rays.bench import Bench, nodes_needed
@@ -21,11 +22,10 @@ Array = NDArray[np.float64]
 
 
 def pulled(curve: Curve, ghost: Curve | None) -> Curve:
-    """The coating's trace with the pull of the front face's ghost where the two merge.
+    """The coating's trace with the pull of the front face's ghost.
 
-    A line is placed by the centroid of its light (`trace.line`): of two profiles a distance D apart, the second with a
-    share f of the first's light, it lies f D/(1 + f) off the first. Not for ghosts that lie outside the window of the
-    centroid, millimetres off: light that is never read pulls nothing.
+    Of two profiles a distance D apart, the second with a share f of the first's light, the mean lies f D/(1 + f) off
+    the first's; the centre, which forgets light that is widths away, is pulled as Gaussians of the trace's width would.
     """
     if ghost is None or ghost.flux is None:
         return curve
@@ -33,8 +33,13 @@ def pulled(curve: Curve, ghost: Curve | None) -> Curve:
     d, s = signed_distance(ghost, curve.points)
     way = ghost.arc_length()
     share = np.interp(s, way, ghost.flux) / curve.flux
-    pull = np.where((s >= 0) & (s <= way[-1]), -d * share / (1 + share), 0.0)
-    return replace(curve, points=curve.points + pull[:, None] * left_of(tangents(curve.points)))
+    share = np.where((s >= 0) & (s <= way[-1]), share, 0.0)
+    pull = -d * share / (1 + share)
+    points = curve.points + pull[:, None] * left_of(tangents(curve.points))
+    if curve.width is None or curve.aside is None:
+        return replace(curve, points=points)
+    felt = share * curve.width * influence(-d / curve.width, 1.0)[0] / influence(np.zeros(1), 1.0)[1]
+    return replace(curve, points=points, aside=curve.aside + felt - pull)
 
 
 def ghosts(benches: Sequence[Bench], samples: int) -> list[Curve | None]:
@@ -78,7 +83,9 @@ def _whole(bare: Bench, samples: int, *, width: bool) -> Curve | None:
         centre = nodes.mean(nodes.q)
         points, start = points + centre[:, None] * left_of(tangent), nodes.phase
     nodes = nodes._replace(q=nodes.q - centre[:, None, None])
-    wide = None
-    if width:
-        wide = widths(bare, nodes) if bare.physics.beam else np.full(len(points), bare.parts.timing.shake)
-    return Curve(points, wide, nodes.flux, nodes.mean(nodes.phase))
+    wide = aside = None
+    if width and bare.physics.beam:
+        wide, aside = widths(bare, nodes).T
+    elif width:
+        wide = np.full(len(points), bare.parts.timing.shake)
+    return Curve(points, wide, nodes.flux, nodes.mean(nodes.phase), None, aside)

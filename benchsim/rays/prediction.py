@@ -189,7 +189,7 @@ def _alike(benches: Sequence[Bench], samples: int, *, width: bool) -> list[Curve
         None if curve is None else pulled(curve, ghost)
         for curve, ghost in zip(traces(benches, samples), ghosts(benches, samples), strict=True)
     ]
-    return out if width else [None if curve is None else replace(curve, width=None) for curve in out]
+    return out if width else [None if curve is None else replace(curve, width=None, aside=None) for curve in out]
 
 
 class _Mixture(NamedTuple):
@@ -258,7 +258,7 @@ def _sum(
     their feet, and the phases there."""
     base = curves[0]
     none = np.zeros(len(base.points)), base.arc_length(), _given(base.phase)
-    offset, wide, relative, phase, parting = np.zeros((5, len(base.points)))
+    offset, wide, relative, phase, parting, aside = np.zeros((6, len(base.points)))
     level = 0.0
     for share, curve, (d, s, turned) in zip(shares, curves, (none, *feet), strict=True):
         at, flux = curve.arc_length(), _given(curve.flux)
@@ -270,10 +270,12 @@ def _sum(
             parting += share * np.interp(s, at, curve.parting)
         if curve.width is not None:
             wide += share * np.interp(s, at, curve.width) ** 2
+        if curve.aside is not None:
+            aside += share * np.interp(s, at, curve.aside)
     # Of a mixture of lights it is the second moment that mixes; shares beyond 0 … 1 can make it negative.
     spread = np.sqrt(np.maximum(wide, 0.0)) if width else None
     normal = left_of(tangents(base.points))
-    return Curve(base.points + offset[:, None] * normal, spread, relative * level, phase, parting)
+    return Curve(base.points + offset[:, None] * normal, spread, relative * level, phase, parting, aside)
 
 
 def _given(values: Array | None) -> Array:
@@ -286,7 +288,7 @@ def _with_ghost(bench: Bench, samples: int, *, width: bool) -> Curve:
     if not bench.parts.polygon.glass:
         return trace(bench, samples, width=width)
     curve = pulled(trace(bench, samples), ghosts([bench], samples)[0])
-    return curve if width else replace(curve, width=None)
+    return curve if width else replace(curve, width=None, aside=None)
 
 
 def ghost(

@@ -69,12 +69,14 @@ class Smooth:
     phase: Array
     resolved: NDArray[np.bool_]
     parting: Array | None = None
+    aside: Array | None = None
 
     def curve(self, which: Any = ...) -> Curve:
         """One of them."""
         width = None if self.width is None else self.width[which]
         parting = None if self.parting is None else self.parting[which]
-        return Curve(self.points[which], width, self.flux[which], self.phase[which], parting)
+        aside = None if self.aside is None else self.aside[which]
+        return Curve(self.points[which], width, self.flux[which], self.phase[which], parting, aside)
 
 
 def rules(bench: Bench) -> tuple[Rule, ...]:
@@ -143,13 +145,13 @@ def _curves(bench: Bench, phase: Array, rule: Rule, width: bool, front: bool) ->
     tail = np.abs(coefficients[-2:] @ sought).max(axis=(-2, -1))
     resolved &= tail < rule.tail
     found = carry @ sought
-    wide = _widths(bench, raw, fine, centre, carry, need, resolved) if width else None
+    wide, aside = _widths(bench, raw, fine, centre, carry, need, resolved) if width else (None, None)
     shake = bench.parts.timing.shake
     # Of several benches it is (bench, 1, 1, 1).
     parting = fine.parting(np.reshape(shake, (-1, 1)) if np.ndim(shake) else shake)
     if parting is not None:
         parting = (carry @ parting[..., None])[..., 0]
-    return Smooth(found[..., :2], wide, np.exp(found[..., 2]), found[..., 3], resolved, parting)
+    return Smooth(found[..., :2], wide, np.exp(found[..., 2]), found[..., 3], resolved, parting, aside)
 
 
 def _widths(
@@ -160,8 +162,8 @@ def _widths(
     carry: Array,
     need: tuple[int, int],
     resolved: NDArray[np.bool_],
-) -> Array:
-    """Adaptive widths at the samples, (..., samples), of what is resolved."""
+) -> tuple[Array, Array]:
+    """Adaptive widths and centres at the samples, (..., samples) each, of what is resolved."""
     samples = carry.shape[-2]
     few = few_of(samples, WIDTHS)
     to = carry[..., few, :]
@@ -186,10 +188,11 @@ def _widths(
     profiles = profiles._replace(q=profiles.q - (to @ centre[..., None])[..., None])
     if fine.shift is not None and fine.share is not None:
         profiles = profiles._replace(shift=moved(fine.shift), share=moved(fine.share))
-    width = np.full(profiles.q.shape[:-2], np.nan)
+    found = np.full((*profiles.q.shape[:-2], 2), np.nan)
     if resolved.any():
-        width[resolved] = adaptive_widths(bench, profiles, resolved)
-    return (between(samples, WIDTHS) @ width[..., None])[..., 0]
+        found[resolved] = adaptive_widths(bench, profiles, resolved)
+    found = between(samples, WIDTHS) @ found
+    return found[..., 0], found[..., 1]
 
 
 def _finer(bench: Bench, nodes: Profiles, need: tuple[int, int], *, kicks: bool = False) -> Profiles:

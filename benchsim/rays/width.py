@@ -1,4 +1,4 @@
-"""Widths and irradiance across the trace, with diffraction, blur and facets as the bench has them."""
+"""Widths, centres and irradiance across the trace, with diffraction, blur and facets as the bench has them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from benchsim.bench.centre import centre
 from benchsim.bench.errors import BenchsimError
 from benchsim.rays import laser as source
 from benchsim.rays.bench import Bench
@@ -32,14 +33,14 @@ def blurs(bench: Bench, lateral: Array) -> Array:
 
 
 def widths(bench: Bench, nodes: Profiles) -> Array:
-    """Adaptive width about the mean of each profile, (profile,) [mm]; worked out on a few and interpolated."""
+    """`adaptive_widths` of all profiles, (profile, 2) [mm]; worked out on a few and interpolated."""
     n = len(nodes.q)
     wanted = MORE if nodes.shift is not None and bench.parts.polygon.uneven else FEW
-    return between(n, wanted) @ adaptive_widths(bench, nodes.only(few_of(n, wanted)))
+    return np.asarray(between(n, wanted) @ adaptive_widths(bench, nodes.only(few_of(n, wanted))))
 
 
 def adaptive_widths(bench: Bench, some: Profiles, which: NDArray[np.bool_] | None = None) -> Array:
-    """Adaptive width about 0 of each profile, (..., profile) [mm].
+    """Adaptive width of each profile about its `centre.centre`, and how far that lies from 0, (..., profile, 2) [mm].
 
     Parameters
     ----------
@@ -66,14 +67,14 @@ def adaptive_widths(bench: Bench, some: Profiles, which: NDArray[np.bool_] | Non
     benches = len(some.q)
     flat, blur, shake = _joined(some), blur.ravel(), shake.ravel()
     if not bench.physics.diffraction:
-        return _held(*_samples(bench, flat, blur, shake)).reshape(-1, count)
+        return _held(*_samples(bench, flat, blur, shake)).reshape(-1, count, 2)
     window = _window(bench, flat, blur, shake)
     sizes = _grids(bench, flat, *window, benches)
     # Those of the same grid go together, with the finest rule among them: a finer one changes nothing. A bench's grid
     # over q must not depend on its company.
     mine = [sizes[:, 0] == grid for grid in sorted(set(sizes[:, 0].tolist()))]
     if len(mine) == 1:
-        return _held(*_samples(bench, flat, blur, shake, window, sizes.max(axis=0))).reshape(-1, count)
+        return _held(*_samples(bench, flat, blur, shake, window, sizes.max(axis=0))).reshape(-1, count, 2)
     found = []
     for m in mine:
         rows = np.repeat(m, count)
@@ -87,7 +88,7 @@ def adaptive_widths(bench: Bench, some: Profiles, which: NDArray[np.bool_] | Non
     for m, (at, much, blurred) in zip(mine, found, strict=True):
         for table, part in ((q, at), (light, much), (spread, blurred)):
             table[m, :, : part.shape[1]] = part.reshape(-1, count, part.shape[1])
-    return _held(*(table.reshape(-1, table.shape[2]) for table in (q, light, spread))).reshape(-1, count)
+    return _held(*(table.reshape(-1, table.shape[2]) for table in (q, light, spread))).reshape(-1, count, 2)
 
 
 def _joined(several: Profiles) -> Profiles:
@@ -121,8 +122,24 @@ def _grids(
 
 
 def _held(q: Array, light: Array, spread: Array) -> Array:
-    """Adaptive width about 0 of samples; its own mean is 0: the profiles are measured from the curve."""
-    return adaptive(q, light, np.zeros(len(q)), blur=spread if spread.any() else 0.0)[1]
+    """Adaptive width and centre of samples measured from their mean, (profile, 2)."""
+    return np.stack(placed(q, light, spread if spread.any() else 0.0), axis=1)
+
+
+def placed(q: Array, light: Array, blur: Array | float = 0.0) -> tuple[Array, Array]:
+    """Adaptive widths about the `centre.centre` of profiles, and those, (profile,) each [mm].
+
+    Parameters
+    ----------
+    q, light : (profile, n) array
+        Offsets from the mean of the light [mm], and light.
+    blur : as of `adaptive`
+    """
+    _, width = adaptive(q, light, np.zeros(len(q)), blur=blur)
+    where = centre(q, light, width, np.zeros(len(q)), blur)
+    # The width about there is hardly another, and the centre hardly feels the width.
+    _, width = adaptive(q, light, where, blur=blur, width=width)
+    return width, centre(q, light, width, where, blur, steps=1)
 
 
 def _samples(

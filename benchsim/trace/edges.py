@@ -157,10 +157,10 @@ def fit_edges(light: NDArray[np.float32], saturated: Mask, camera: Camera, edges
 
     Notes
     -----
-    Fails, and says so by ``used`` and ``scatter``, where something else covers the edge. Where all edges of a picture
-    run along the pixels at a few distances, as on a board seen square on, up to 0.01 px of what the step is not like
-    stay, and no covariance counts them. Where light is not linear in radiance (unknown gamma) all four edges of a mark
-    move outward or inward by the same fraction of the blur.
+    Fails, and says so by ``used`` and ``scatter``, where something else covers the edge. Where edges run along the
+    pixels at a few distances, as on a board seen square on, 0.01 to 0.03 px of what the step is not like stay, which
+    this covariance does not count; `marks` does. Where light is not linear in radiance (unknown gamma) all four edges
+    of a mark move outward or inward by the same fraction of the blur.
     """
     line = edges.line()
     cell = line.cell(edges)

@@ -134,7 +134,7 @@ def measure(
     """
     picture = picture or picture_on(photograph, dark, pose, screen, blur)
     lines, dropped_status, dropped_px = _lines(photograph.name, picture, ridges)
-    parts = [_on_board(line, pose) for line in lines]
+    parts = [_on_board(line, pose, blur) for line in lines]
     columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0] if key not in ("shape_mm", "noise")}
     # Ridges have their own shapes: block columns.
     widths = [p["shape_mm"].shape[1] for p in parts]
@@ -328,7 +328,7 @@ def _without(blocked: NDArray[np.uint8], path: Array, width: float) -> NDArray[n
     return out
 
 
-def _on_board(line: Line, pose: Pose) -> dict:
+def _on_board(line: Line, pose: Pose, blur: float) -> dict:
     board, by_pixel, by_pose = to_board(pose, line.uv)
     along = np.einsum("nij,nj->ni", by_pixel, line.tangent)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -370,6 +370,7 @@ def _on_board(line: Line, pose: Pose) -> dict:
         line.noise.correlation_length * step,
         step,
         line.core * float(per_pixel.mean()),
+        blur * float(per_pixel.mean()),
     )
     return out
 

@@ -34,6 +34,7 @@ from benchsim.trace.start import centred_curve
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp]
 
 FAINT_SIGMA = 5.0
 """Flux over its sigma below which the centre's error is not Gaussian any more; 3e-7 false alarms per profile."""
@@ -100,11 +101,10 @@ class Line:
 def measure_line(picture: Picture, coarse: CoarseCurve, reach: float) -> Line:
     """Measure the ridge near a coarse curve.
 
-    The centre is the centroid of the light across the curve: the line's mean shape is fitted to every profile, and the
-    shape's centroid, in a window about itself and with the tails' moment, gives the position. Saturated pixels are left
-    out, and those that their neighbourhood lifts to within four sigma of it, two of speckle: only the ones that noise
-    lowered would stay. Speckle that saturates a twentieth of the crest still makes a line one or two per cent too wide:
-    expose shorter.
+    The line's mean shape is fitted to every profile, and the shape's `centre.centre` gives the position. Saturated
+    pixels are left out, and those that their neighbourhood lifts to within four sigma of it, two of speckle: only the
+    ones that noise lowered would stay. Speckle that saturates a twentieth of the crest still makes a line one or two
+    per cent too wide: expose shorter.
 
     Parameters
     ----------
@@ -184,13 +184,17 @@ def _view(picture: Picture, band: Band, core: float) -> _View:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """``shape`` and ``profiles`` in units of (n − ``drift``) / ``zoom``; ``strong`` (k,): flux well above its noise."""
+    """``shape`` and ``profiles`` in units of (n − ``drift``) / ``zoom``; ``strong`` (k,): flux well above its noise.
+
+    ``moved`` (k,): by how much what the fit leaves of each profile's light moves its centre.
+    """
 
     shape: Shape
     profiles: Profiles
     drift: Array
     zoom: Array
     strong: Mask
+    moved: Array
     slope_factor: Array | None
 
 
@@ -254,7 +258,9 @@ def _fit(view: _View, span: tuple[float, float], core: float, half_width: float)
             use = _below_the_ceiling(view, view.under + line + background[:, None], shot, grain)
     assert profiles is not None
     stretch = stretches(x, light, np.where(near, 1 / variance, 0.0), band.t, shape, near_by)
-    return _Fitted(shape, replace(profiles, stretch=stretch), drift, zoom, strong, slope_factor)
+    left = np.where(near, light - profiles.model, 0.0) / np.maximum(profiles.flux * zoom, 1e-30)[:, None]
+    moved = shape.moved(x - profiles.shift[:, None], left)
+    return _Fitted(shape, replace(profiles, stretch=stretch), drift, zoom, strong, moved, slope_factor)
 
 
 def _below_the_ceiling(view: _View, level: Array, shot: Array, grain: Array) -> Mask:
@@ -304,7 +310,9 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
     kept = require(status)
     status[kept & _misshapen(profiles, kept)] = MISSHAPEN
     kept = require(status)
-    offset = fitted.drift + (profiles.shift + shape.centroid(t)) * zoom
+    free = np.flatnonzero(kept & (saturated == 0))
+    left_out, factor = _of_the_shape(t, shape.span, fitted.moved, profiles.shift_sigma, free)
+    offset = fitted.drift + (profiles.shift + shape.centre(t) + left_out) * zoom
     sigma = profiles.shift_sigma * zoom
     threshold = stats.norm.isf(FALSE_ALARM / (2 * kept.sum()))
     for _ in range(3):
@@ -319,12 +327,10 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
     sigma = sigma * _flank_scale(saturated > 0, kept, pull)
     noise = centre_noise(t[k], offset[k], sigma[k], spline_basis(t[k], span, 40.0))
     sigma = sigma[k] * noise.scale
-    factor = [_beyond_shifts(shape, t[k], sigma / zoom[k], noise) * zoom[k, None]]
-    if shape.doubt > 0:
-        factor.append((shape.doubt / shape.integral(t[k]) * zoom[k])[:, None])
+    factors = [factor[k] * zoom[k, None]]
     if fitted.slope_factor is not None:
         response = shape.slope_response * zoom[k] ** 2 / profiles.flux[k]
-        factor.append(fitted.slope_factor[k] * response[:, None])
+        factors.append(fitted.slope_factor[k] * response[:, None])
     normal = band.normal[k]
     gone = np.flatnonzero(status != KEPT)
     return Line(
@@ -337,7 +343,7 @@ def _judged(view: _View, fitted: _Fitted, curve: BSpline, span: tuple[float, flo
         flux=(profiles.flux * zoom)[k],
         skewness=shape.skewness(t[k]),
         saturated=saturated[k],
-        shape_factor=np.concatenate(factor, axis=1),
+        shape_factor=np.concatenate(factors, axis=1),
         noise=noise,
         core=shape.core,
         half_width=shape.half_width,
@@ -374,15 +380,18 @@ def _misshapen(profiles: Profiles, among: Mask) -> Mask:
     return root - centre > stats.norm.isf(FALSE_ALARM / among.sum()) * spread
 
 
-def _beyond_shifts(shape: Shape, t: Array, sigma: Array, noise: CentreNoise) -> Array:
-    """The part of the centroid's common error that the independent errors of the profiles do not contain already.
+def _of_the_shape(t: Array, span: tuple[float, float], moved: Array, sigma: Array, free: Rows) -> tuple[Array, Array]:
+    """What the mean shape leaves out of the centres (k,), and the common error that is left (k, terms), both [px].
 
-    The shape is measured on the same pixels: its smooth shifts are the profiles' own noise, averaged. Only what the
-    centroid is worse than that comes on top.
+    The shape is fitted to all profiles, and its centre is that of their light: each profile's centre is its own shift
+    and what the rest of its light moves it by. Of that rest a cubic along the line is common: what of it the shape does
+    not follow, for want of significance, is put back, and its error is read from how the rest scatters, correlation of
+    neighbours included. ``free`` are the profiles that show it.
     """
-    inflation = 1 + noise.correlation_length
-    factor = shape.factor * noise.scale * np.sqrt(inflation)
-    terms = legendre(t, shape.span, shape.order) / shape.integral(t)[:, None]
-    own = np.linalg.pinv(np.einsum("k,ka,kb->ab", 1 / sigma**2, terms, terms)) * inflation
-    value, vector = np.linalg.eigh(factor @ factor.T - own)
-    return terms @ (vector * np.sqrt(np.maximum(value, 0.0)))
+    terms = legendre(t, span, MAX_ORDER)
+    noise = centre_noise(t[free], moved[free], sigma[free], terms[free])
+    weighted = terms[free] / (sigma[free] * noise.scale)[:, None]
+    inverse = np.linalg.pinv(weighted.T @ weighted, rcond=1e-9)
+    found = inverse @ (weighted.T @ (moved[free] / (sigma[free] * noise.scale)))
+    value, vector = np.linalg.eigh(inverse * (1 + noise.correlation_length))
+    return terms @ found, terms @ (vector * np.sqrt(np.maximum(value, 0.0)))

@@ -38,6 +38,15 @@ BRACKET = 4.0
 COARSE_SIGMA = 1.5
 """Error of the detector's own corners, each coordinate [px]: 0.5 to 1 px rms on photographs of other code."""
 
+RASTER, RUN = 0.027, 0.1
+"""1 sigma of the place of an edge that runs along the pixels, and the run across them that halves its variance [px].
+
+All of such an edge lies at one place within its pixels, and what the print's dots or a renderer's rays make of it does
+not average out: on 3900 edges of other code the error is 0.025 px where an edge crosses less than 0.1 px from end to
+end, 0.014 to 0.25 px, 0.006 to 0.5 px, and the noise's own 0.004 px beyond. Without it the worst marks are ten sigma
+off, and they stay so from picture to picture; with it a mark that stands square in a perfect picture counts for less.
+"""
+
 GAMMA_RANGE = (0.4, 3.0)
 """Where an unknown gamma is looked for, over what the picture was read with: 1 is that, 2.2 a display's."""
 
@@ -79,6 +88,8 @@ class MarkObservations:
         Ids that were found but are not used, and why.
     gamma : float, or None
         Guess of what an unknown gamma leaves in the light as it was read: 1 where that reading was right.
+    shared : (n, 8, 8) px², or None
+        Part of ``joint`` that another picture of the same pose has too: where edges run along the pixels.
     motion : (3, 3), or None
         Homography to the pixels of the dark picture, where the camera moved in between; see `motion.motion`.
     """
@@ -95,6 +106,7 @@ class MarkObservations:
     dropped: tuple[tuple[int, str], ...] = ()
     gamma: float | None = None
     motion: Array | None = None
+    shared: Array | None = None
 
 
 def board_corners(marks: Marks) -> Array:
@@ -172,6 +184,7 @@ def find_marks(photograph: Photograph, marks: Marks | None, camera: Camera) -> M
         unknown=unknown,
         dropped=tuple(dropped),
         gamma=measured.gamma,
+        shared=measured.shared[good],
     )
 
 
@@ -232,11 +245,12 @@ def _white_of(light: NDArray[np.float32], quads: Array) -> float:
 
 @dataclass(frozen=True)
 class _Measured:
-    """Corners (n, 4, 2), their joint covariance (n, 8, 8), which are measured (n, 4), blur (n,), why a mark cannot be
-    used ("" if it can), and the gamma if it was guessed."""
+    """Corners (n, 4, 2), their joint covariance (n, 8, 8) and what of it pictures share, which are measured (n, 4),
+    blur (n,), why a mark cannot be used ("" if it can), and the gamma if it was guessed."""
 
     corners: Array
     joint: Array
+    shared: Array
     measured: NDArray[np.bool_]
     blur: Array
     reasons: list[str]
@@ -257,17 +271,29 @@ def _measure(photograph: Photograph, camera: Camera, ids: NDArray[np.intp], coar
         light, quantum = _raised(light, gamma), gamma**2 * quantum
     fit = fit_edges(light, photograph.marks_saturated, camera, edges, quantum)
     good = _good_edges(fit)
-    ideal, joint = _intersect(_with_coarse(fit, edges, good), n)
+    fit = _with_coarse(fit, edges, good)
+    ideal, joint = _intersect(fit, n)
+    raster = np.zeros_like(fit.covariance)
+    raster[:, 0, 0] = RASTER**2 / (1 + (_run_across(camera, fit, edges) / RUN) ** 2)
+    _, shared = _intersect(replace(fit, covariance=raster), n)
     jacobian = np.zeros((n, 8, 8))
     local = distortion_jacobian(camera, ideal)
     for k in range(4):
         jacobian[:, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = local[:, k]
-    joint = jacobian @ joint @ jacobian.transpose(0, 2, 1)
+    joint, shared = (jacobian @ c @ jacobian.transpose(0, 2, 1) for c in (joint, shared))
+    joint = joint + shared
     corners = distort(camera, ideal)
     by_mark = good.reshape(n, 4)
     measured = by_mark & np.roll(by_mark, 1, axis=1)
     reasons = _reasons(by_mark, corners, coarse, photograph)
-    return _Measured(corners, joint, measured, np.median(fit.blur.reshape(n, 4), axis=1), reasons, gamma)
+    return _Measured(corners, joint, shared, measured, np.median(fit.blur.reshape(n, 4), axis=1), reasons, gamma)
+
+
+def _run_across(camera: Camera, fit: EdgeFit, edges: Edges) -> Array:
+    """How far each edge runs across the rows or columns that it follows, from end to end (e,) [px]."""
+    half = 0.5 * np.linalg.norm(edges.end - edges.start, axis=1)[:, None] * fit.along
+    run = np.abs(np.diff(distort(camera, np.stack([fit.point - half, fit.point + half], axis=1)), axis=1)[:, 0])
+    return np.asarray(run.min(axis=1))
 
 
 def _raised(light: NDArray[np.float32], gamma: float) -> NDArray[np.float32]:

@@ -151,23 +151,31 @@ def solve_pose(
 def join(first: MarkObservations, second: MarkObservations) -> MarkObservations:
     """Marks of a photograph and of its dark picture: of one pose, their noise is independent.
 
-    Where the camera moved in between, the marks are the first's alone, and say how it moved.
+    Where the camera moved in between, the marks are the first's alone, and say how it moved. Where it did not, the part
+    of their errors that both have counts once.
     """
     moved = motion(first, second)
     if moved is not None:
         return replace(first, motion=moved)
+    joint, both = np.concatenate([first.joint, second.joint]), None
+    if first.shared is not None and second.shared is not None:
+        both = np.concatenate([first.shared, second.shared])
+        twice = np.concatenate([np.isin(first.ids, second.ids), np.isin(second.ids, first.ids)])
+        # Half of twice that, together, is that.
+        joint = joint + both * twice[:, None, None]
     return MarkObservations(
         name=first.name,
         ids=np.concatenate([first.ids, second.ids]),
         corners=np.concatenate([first.corners, second.corners]),
         covariance=np.concatenate([first.covariance, second.covariance]),
-        joint=np.concatenate([first.joint, second.joint]),
+        joint=joint,
         board=np.concatenate([first.board, second.board]),
         measured=np.concatenate([first.measured, second.measured]),
         blur=np.concatenate([first.blur, second.blur]),
         unknown=tuple(sorted({*first.unknown, *second.unknown})),
         dropped=first.dropped + second.dropped,
         gamma=first.gamma,
+        shared=both,
     )
 
 

@@ -147,11 +147,11 @@ def _step(x: Array, y: Array, weight: Array, t: Array, shape: Shape, at: Values)
 
 
 def _model(x: Array, t: Array, shape: Shape, shift: Array, stretch: Array) -> tuple[Array, tuple[Array, Array]]:
-    """Unit-flux light and its derivatives by shift and stretch; the stretch is about the centroid."""
-    centroid = shape.centroid(t)
+    """Unit-flux light and its derivatives by shift and stretch; the stretch is about the centre."""
+    centre = shape.centre(t)
     narrow = np.exp(-stretch)[:, None]
-    q = (x - centroid[:, None] - shift[:, None]) * narrow
-    value, slope = shape.evaluate(q + centroid[:, None], t)
+    q = (x - centre[:, None] - shift[:, None]) * narrow
+    value, slope = shape.evaluate(q + centre[:, None], t)
     return value * narrow, (-slope * narrow**2, -narrow * (value + q * slope))
 
 

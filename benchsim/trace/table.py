@@ -55,7 +55,9 @@ class RidgeNoise:
     step_mm : float
         Mean distance of neighbouring profiles, one pixel.
     window_mm : float
-        Half width of the window, about the centroid, of centroid, flux, width and skewness.
+        Half width of the window, about the centre, of flux and skewness.
+    blur_mm : float
+        rms of the camera's blur across the ridge.
     """
 
     scale: float
@@ -64,6 +66,7 @@ class RidgeNoise:
     correlation_mm: float
     step_mm: float
     window_mm: float
+    blur_mm: float = 0.0
 
 
 def _none(*shape: int) -> Array:
@@ -85,14 +88,14 @@ class Trace:
     u_px, v_px : px
         Centre in the picture.
     y_mm, z_mm : mm
-        The same point on the board as its marks define it. The centre is the centroid of the light across the curve;
-        that of the tails beyond the window, which diffraction makes lopsided, is extrapolated.
+        The same point on the board as its marks define it: the `centre.centre` of the light across the curve, behind
+        the camera's blur.
     sigma_mm : mm
         1 sigma across the curve of the trace noise alone: independent of the other profiles but for
         ``noise[ridge].correlation``; the pose and the line's shape, common to all profiles, come on top, see
         `covariance`.
     width_mm : mm
-        Adaptive (Gaussian-weighted) rms width across the curve about the centroid, the camera's blur and pixel
+        Adaptive (Gaussian-weighted) rms width across the curve about the centre, the camera's blur and pixel
         included; nan where the camera's gamma is unknown, as are flux and skewness.
     flux : counts · mm
         Linear light across the curve within the window.

@@ -72,7 +72,9 @@ def test_basis_is_the_bench_with_that_field(made, name):
         size = np.sqrt(np.mean(want[mine] ** 2))
         if kind == "c" or name.startswith(("camera.pixel", "camera.row", "screen")):
             assert size > 1e-4, "the function is seen"
-        assert np.sqrt(np.mean((got - want)[mine] ** 2)) < 0.04 * size + 1e-5
+        # Light that is turned across the beam's section lies otherwise in the line, and its centre hardly elsewhere.
+        part = 0.1 if name == "source.angle" else 0.04
+        assert np.sqrt(np.mean((got - want)[mine] ** 2)) < part * size + 1e-5
 
 
 def form_name(name: str) -> str:

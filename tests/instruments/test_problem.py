@@ -87,14 +87,15 @@ def test_centre_line_is_where_the_pieces_put_it(made, truth):
         table.setdefault(owner, {})[name] = value
     true = replace(recording, effects={**recording.effects, **table})
     for b, o in enumerate(x.observed for x in problem.predict.blocks):
-        curve = rays.predict(true, recording.exposures[o.index], samples=96)
+        response = problem.predict.blocks[b].response
+        curve = rays.predict(true, recording.exposures[o.index], samples=96, blur=response.blur).at_centre()
         level = np.interp(np.linspace(0, 1, 96), np.linspace(0, 1, 48), problem.predict.blocks[b].level)
         points, residual = chain.measured(true, o.view, curve.points, level)
         d = signed_distance(Curve(points), o.points)[0]
         got = problem.predict(truth, b)
         kind = problem.kind[problem.rows(b)]
         base = signed_distance(rays.predict(recording, recording.exposures[o.index]), o.points)[0]
-        assert np.abs(got[kind == "c"] - (base - d)).max() < 2e-4
+        assert np.abs(got[kind == "c"] - (base - d + response.aside)).max() < 2e-4
         assert np.abs(got[kind == "m"] - residual.ravel()).max() < 1e-9
         moved = got - problem.predict({}, b)
         assert np.abs(moved[np.isin(kind, ["c", "m"])]).max() > 0.02 or (b == 0 and "dry" in truth)

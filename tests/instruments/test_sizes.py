@@ -61,13 +61,13 @@ def test_the_size_is_the_rms_by_which_the_trace_moves(made):
 
 
 def test_it_is_of_the_fitted_point_and_of_each_switch_alone(made):
-    """All three together; diffraction changes the width and moves nothing. A share of 0 is still as uncertain."""
+    """All three together; diffraction changes the width and moves little. A share of 0 is still as uncertain."""
     _, problem = made
     d = diagnosis({"facets": ("facets", 0.9), "finite-beam": ("beam", 0.95), "diffraction": ("fresnel", 0.8)})
     got = {f.name: f.parameters["size_mm"] for f in sizes.sized(problem, d).effects}
     alone = sizes.sized(problem, diagnosis({"facets": ("facets", 0.9)})).effects[0].parameters["size_mm"]
     assert got["facets"].value != pytest.approx(alone.value, rel=0.05)
-    assert got["finite-beam"].value > 0.001 and got["diffraction"].value == 0
+    assert got["finite-beam"].value > 0.001 and got["diffraction"].value < 0.1 * got["finite-beam"].value
     nothing = sizes.sized(problem, diagnosis({"facets": ("facets", 0.0)})).effects[0].parameters["size_mm"]
     assert nothing.value == 0 and nothing.sigma == pytest.approx(0.02 * alone.value / 0.9, rel=1e-2)
 

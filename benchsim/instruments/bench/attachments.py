@@ -28,7 +28,7 @@ from benchsim.instruments.bench.amend import summed
 from benchsim.instruments.bench.blocks import Block, size
 from benchsim.instruments.bench.prediction import Predict
 from benchsim.rays.prediction import bench_of
-from benchsim.trace.pose import Pose, pose_derivatives
+from benchsim.trace.pose import pose_derivatives
 
 Array = NDArray[np.float64]
 
@@ -134,7 +134,7 @@ def local(predict: Predict, index: int) -> Local:
     tangent = CubicSpline(arc, measured)(s, 1)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     board = CubicSpline(arc, curve.points)(s)
-    pose = _pose(seen)
+    pose = chain.pose_of(seen)
     pixel, by_pose = pose_derivatives(pose, board)
     by_x = by_pose[..., 3:] @ seen.rotation
     placement = bench_of(truth, exposure).placement
@@ -161,11 +161,6 @@ def local(predict: Predict, index: int) -> Local:
         corners_by_height=corners_by_x[..., 0],
         placement=placement,
     )
-
-
-def _pose(seen: chain.View) -> Pose:
-    none = np.zeros((0, 4, 2))
-    return Pose(seen.rotation, seen.translation, seen.camera, np.zeros((6, 6)), none, 1.0, np.zeros(0, bool), (), 0.0)
 
 
 def push(at: Local, board: Array | None = None, light: Array | None = None, corners: Array | None = None) -> Array:

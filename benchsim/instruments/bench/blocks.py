@@ -19,9 +19,11 @@ Array = NDArray[np.float64]
 class Response:
     """How an adaptive width behind the camera's blur follows the one that `rays` works out behind one ``blur`` [mm].
 
-    w² = at + slope (w_rays² − near) + by_blur (b² − b₀²); (k,) each, mm² or 1. The blur is part of what `rays` works
-    out because lines that part, stretch or shake change a sharp profile's adaptive width otherwise than a blurred
-    one's; the slopes are for what differs along the trace.
+    w² = at + slope (w_rays² − near) + by_blur (b² − b₀²); (k,) each, mm² or 1; (0,) where there are no widths. The blur
+    is part of what `rays` works out because lines that part, stretch or shake change a sharp profile's adaptive width
+    otherwise than a blurred one's; the slopes are for what differs along the trace. The centre lies
+    a_rays + aside + aside_by_blur (b² − b₀²) to the left of the mean of the light; (n,) each, mm or 1/mm, and
+    ``blurred`` is b₀² there [mm²].
     """
 
     blur: float
@@ -29,6 +31,9 @@ class Response:
     near: Array
     slope: Array
     by_blur: Array
+    aside: Array
+    aside_by_blur: Array
+    blurred: Array
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,7 @@ class Block:
     setting : 13 str
         Names of its setting errors among the nuisances, in the order of `settings.NAMES`; "": free of error.
     response : Response or None
-        None where neither width nor flux is used; where lines part, their parting is in their place.
+        None where lines part: their parting is in the place of width and flux, and their mean is that of all light.
     level : (samples,)
         Peak brightness along the stated trace, 1 at the brightest measured.
     kept : (m,) bool
@@ -60,6 +65,11 @@ class Block:
     @property
     def camera(self) -> str:
         return self.observed.view.camera.name
+
+    @property
+    def shaped(self) -> bool:
+        """Whether width and flux are data."""
+        return len(self.observed.width2) > 0
 
 
 class Seen(NamedTuple):
@@ -85,8 +95,8 @@ def across(curve: Curve, b: Block, stretch: Array | float) -> Array:
 
 def size(b: Block) -> int:
     """Number of data of a block."""
-    shape = 0 if b.response is None else len(b.observed.width2) + len(b.observed.log_flux)
-    return len(b.observed.points) + shape + len(b.observed.parting) + 2 * int(b.kept.sum())
+    o = b.observed
+    return len(o.points) + len(o.width2) + len(o.log_flux) + len(o.parting) + 2 * int(b.kept.sum())
 
 
 def data(seen: Sequence[Seen]) -> list[Array]:
@@ -108,15 +118,14 @@ def data(seen: Sequence[Seen]) -> list[Array]:
             np.concatenate([s.block.offset - d, here[:, 0], m])
             for s, d, here, m in zip(seen, distance, at, marks, strict=True)
         ]
-    if seen[0].block.response is None:
-        distance = signed_distances(points, targets)[0]
-        return [np.concatenate([s.block.offset - d, m]) for s, d, m in zip(seen, distance, marks, strict=True)]
-    light: Array = np.empty((*points.shape[:2], 2))
+    light: Array = np.zeros((*points.shape[:2], 3))
     for row, s in zip(light, seen, strict=True):
         assert s.curve.flux is not None
-        row[:, 0] = across(s.curve, s.block, s.stretch) + s.spilled
-        row[:, 1] = s.curve.flux * s.stretch
-    np.log(np.maximum(light[..., 1], 1e-30), out=light[..., 1])
+        if s.curve.aside is not None:
+            row[:, 0] = s.curve.aside * s.stretch
+        if s.block.shaped:
+            row[:, 1] = across(s.curve, s.block, s.stretch) + s.spilled
+            row[:, 2] = np.log(np.maximum(s.curve.flux * s.stretch, 1e-30))
     profiles = np.stack([s.block.observed.profile_points for s in seen])
     distance, _, at = signed_distances(points, np.concatenate([targets, profiles], axis=1), light)
     assert at is not None
@@ -126,10 +135,14 @@ def data(seen: Sequence[Seen]) -> list[Array]:
         o, r = s.block.observed, s.block.response
         assert r is not None
         blur = s.values.get(f"{s.block.camera}.blur", 0.0)
-        more = ((1 + blur) ** 2 - 1) * (o.blur * o.mm_per_px) ** 2
-        wide = r.at + r.slope * (here[n:, 0] - r.near) + r.by_blur * more
+        more = (1 + blur) ** 2 - 1
+        centre = s.block.offset - d[:n] + here[:n, 0] + r.aside + r.aside_by_blur * (more * r.blurred)
+        if not s.block.shaped:
+            out.append(np.concatenate([centre, m]))
+            continue
+        wide = r.at + r.slope * (here[n:, 1] - r.near) + r.by_blur * (more * (o.blur * o.mm_per_px) ** 2)
         # Its level is the gain's alone: whatever of it geometry could change, quadratically, would only be undone.
-        flux = here[n:, 1]
+        flux = here[n:, 2]
         flux = flux - flux.mean() + s.values.get(f"{o.name}.gain", 0.0)
-        out.append(np.concatenate([s.block.offset - d[:n], wide, flux, m]))
+        out.append(np.concatenate([centre, wide, flux, m]))
     return out

@@ -88,6 +88,12 @@ def view(pose: Pose, corners: Array, weight: Array) -> View:
     return View(pose.camera, pose.rotation, pose.translation, board, flat, gain, j)
 
 
+def pose_of(seen: View) -> Pose:
+    """The pose of a view, as if it were exact."""
+    none = np.zeros((0, 4, 2))
+    return Pose(seen.rotation, seen.translation, seen.camera, np.zeros((6, 6)), none, 1.0, np.zeros(0, bool), (), 0.0)
+
+
 def view_of_all(recording: Recording, pose: Pose) -> View | None:
     """View of a pose that all of the board's marks inside the picture bear alike; None where the board has none there.
 

@@ -35,6 +35,7 @@ from benchsim.instruments.bench.observed import (
     FLUX_FLOOR,
     SHAPE_BINS,
     WIDTH_FLOOR,
+    WIDTH_SLOPE,
     Aside,
     Observed,
     beside,
@@ -327,9 +328,9 @@ def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> di
     basis = spline_basis(profile, (profile.min(), profile.max()), (profile.max() - profile.min()) / 12)
     out: dict[str, Any] = {}
     binned = None
-    for key, value, spread, floor in (
-        ("log_width", np.log(width), sigma / width, WIDTH_FLOOR * np.ones(len(s))),
-        ("log_flux", np.log(flux), sigma / width, FLUX_FLOOR * np.ones(len(s))),
+    for key, value, spread, floor, slope in (
+        ("log_width", np.log(width), sigma / width, WIDTH_FLOOR, WIDTH_SLOPE),
+        ("log_flux", np.log(flux), sigma / width, FLUX_FLOOR, 0.0),
     ):
         # Wrong by a common factor, which the scatter finds.
         noise = centre_noise(profile, value, spread, basis)
@@ -340,7 +341,7 @@ def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> di
             binned = bin_trace(s, covariance, bins=SHAPE_BINS)
         w = binned.weights
         out[key] = w @ value
-        out[f"{key}_covariance"] = w @ (covariance + smooth_floor(s, floor)) @ w.T
+        out[f"{key}_covariance"] = w @ (covariance + smooth_floor(s, np.full(len(s), floor), slope)) @ w.T
     assert binned is not None
     assert line.pose is not None
     # Of the logarithm the mean is free of what the profiles' scatter adds to a mean of squares.

@@ -59,6 +59,9 @@ FEWEST = 6
 FLOOR = (0.03, 0.1)
 """Smooth error of the parting: a share of it (shares and lever), and of the line's own mean square (its shape)."""
 
+CHANGE = 150.0
+"""Length over which the floors here change along the trace [mm]."""
+
 MEAN_FLOOR = 0.01
 """Smooth error of the mean, in widths of the line."""
 
@@ -176,9 +179,9 @@ def as_parted(seen: Observed, like: Sequence[Observed]) -> Observed:
     white = np.diag(one) / FEWEST**2
     return replace(
         seen,
-        covariance=seen.covariance + centre**2 * (smooth_floor(seen.s, one) + white),
+        covariance=seen.covariance + centre**2 * (smooth_floor(seen.s, one, length=CHANGE) + white),
         parting=np.zeros(len(one)),
-        parting_covariance=parting**2 * (smooth_floor(seen.s, one) + white),
+        parting_covariance=parting**2 * (smooth_floor(seen.s, one, length=CHANGE) + white),
         **no_shape(),
     )
 
@@ -220,9 +223,9 @@ def _measured(
     return Parted(
         across.points[rows] + np.array(means)[:, None] * across.normal[rows],
         s,
-        np.diag(error[:, 0] ** 2) + smooth_floor(s, MEAN_FLOOR * wide[rows]) + shift @ shift.T,
+        np.diag(error[:, 0] ** 2) + smooth_floor(s, MEAN_FLOOR * wide[rows], length=CHANGE) + shift @ shift.T,
         parting,
-        np.diag(error[:, 1] ** 2) + smooth_floor(s, FLOOR[0] * parting + FLOOR[1] * own),
+        np.diag(error[:, 1] ** 2) + smooth_floor(s, FLOOR[0] * parting + FLOOR[1] * own, length=CHANGE),
     )
 
 

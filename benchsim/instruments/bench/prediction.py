@@ -225,7 +225,7 @@ class Predict:
             if np.isfinite(points).all():
                 b = self.blocks[asked[i].block]
                 o = b.observed
-                alike = len(points), len(o.points), len(o.profile_points), len(o.parting), b.response is None
+                alike = len(points), len(o.points), len(o.profile_points), len(o.parting)
                 seen.setdefault(alike, []).append((i, Seen(asked[i].values, b, points, residual, curve, more, stretch)))
         for members in seen.values():
             for first in range(0, len(members), TOGETHER):
@@ -251,7 +251,7 @@ class Predict:
             b, truth = self.blocks[block], asked[members[0]].truth
             # Where width or flux are data, to either side of the line too: what is stretched there is as wide, and as
             # bright in sum, as it is stretched.
-            aside = (0.0,) if b.response is None or not stretched else (0.0, ASIDE, -ASIDE)
+            aside = (0.0, ASIDE, -ASIDE) if b.shaped and stretched else (0.0,)
             beside = [lights[i] + h * left_of(tangents(lights[i])) if h else lights[i] for i in members for h in aside]
             level = np.concatenate([self._level(b, len(light)) for light in beside])
             points, residual = chain.measured(truth, b.observed.view, np.concatenate(beside), level, camera)
@@ -276,7 +276,7 @@ class Predict:
         without: dict[int, Recording] = {}
         for i, a in enumerate(asked):
             effects = a.truth.effects
-            blooms = self.blocks[a.block].response is not None and effects.get("saturation", {}).get("sat", 0.0)
+            blooms = self.blocks[a.block].shaped and effects.get("saturation", {}).get("sat", 0.0)
             if blooms and np.isfinite(measured[i].points).all():
                 wanted.append(i)
                 if id(a.truth) not in without:

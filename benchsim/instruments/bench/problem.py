@@ -24,13 +24,14 @@ from benchsim.diagnosis.problem import Effect, Parameter, Problem, Values
 from benchsim.instruments.bench.attachments import attachments
 from benchsim.instruments.bench.blocks import Block, Response
 from benchsim.instruments.bench.candidates import candidates, simulated
+from benchsim.instruments.bench.chain import pose_of
 from benchsim.instruments.bench.effects import BY_NAME, terms
 from benchsim.instruments.bench.further import Next
-from benchsim.instruments.bench.observed import Observed
+from benchsim.instruments.bench.observed import Observed, beside, mm_per_px
 from benchsim.instruments.bench.prediction import SAMPLES, SHAPES, UNITS, Predict
 from benchsim.instruments.bench.simulation import simulate_one
 from benchsim.rays.camera import EFFECTS as BEYOND_THE_BOARD
-from benchsim.rays.profile import adaptive
+from benchsim.rays.width import placed
 
 Array = NDArray[np.float64]
 
@@ -89,7 +90,7 @@ def build(
         kept = b.kept
         marks = block_diag(*o.marks_covariance[kept]) if kept.any() else np.zeros((0, 0))
         parts = [("c", b.offset, o.covariance, o.s)]
-        if b.response is not None:
+        if b.shaped:
             parts.append(("w", o.width2, o.width2_covariance, o.profile_s))
             parts.append(("f", o.log_flux, o.log_flux_covariance, o.profile_s))
         if len(o.parting):
@@ -142,8 +143,8 @@ def nuisances(recording: Recording, predict: Predict) -> tuple[Parameter, ...]:
         out[name] = Parameter(name, "1", SHAPE_SIGMA[name])
     for b in blocks:
         same = tuple(i for i, other in enumerate(blocks) if other.camera == b.camera)
-        if b.response is not None:
-            wide = tuple(i for i in same if blocks[i].response is not None)
+        if b.shaped:
+            wide = tuple(i for i in same if blocks[i].shaped)
             out[f"{b.camera}.blur"] = Parameter(f"{b.camera}.blur", "1", BLUR_SIGMA, blocks=wide)
         focal, centre, k1 = u.intrinsics_sigma
         for name, unit, s in (
@@ -155,7 +156,7 @@ def nuisances(recording: Recording, predict: Predict) -> tuple[Parameter, ...]:
             if s > 0:
                 out[f"{b.camera}.{name}"] = Parameter(f"{b.camera}.{name}", unit, s, blocks=same)
     for i, b in enumerate(blocks):
-        if b.response is not None:
+        if b.shaped:
             name = f"{b.observed.name}.gain"
             out[name] = Parameter(name, "1", GAIN_SIGMA, blocks=(i,))
     return tuple(out.values())
@@ -196,10 +197,10 @@ def _predict(
         names = [f"{exposure.setting}.{n}" for n in NAMES]
         names[OF_THE_SEAT] = [f"seat{seat}.{n}" if seat else "" for n in NAMES[OF_THE_SEAT]]
         stated = rays.predict(replace(doubted, effects={}, fields={}), exposure, samples=SAMPLES)
-        response = _response(doubted, recording, o) if len(o.width2) else None
+        response = None if len(o.parting) else _response(doubted, recording, o)
         kept = np.asarray(np.isfinite(o.marks).all(axis=1))
         offset = signed_distance(stated, o.points)[0]
-        o = replace(o, log_flux=o.log_flux - o.log_flux.mean()) if response is not None else o
+        o = replace(o, log_flux=o.log_flux - o.log_flux.mean()) if len(o.log_flux) else o
         blocks.append(Block(o, tuple(names), response, _level(o, stated), kept, offset))
         camera = o.view.camera.name
         aside |= {f"{camera}.{k}" for k in ("blur", "focal", "principal_u", "principal_v", "k1")} | {f"{o.name}.gain"}
@@ -229,7 +230,7 @@ def _level(o: Observed, stated: Curve) -> Array:
 
 
 def _response(doubted: Recording, recording: Recording, o: Observed) -> Response:
-    """Adaptive width behind the blur, at the stated bench: exact there, and its slopes by light and blur."""
+    """Centre and width behind the blur, at the stated bench: exact there, and their slopes by light and blur."""
     exposure = recording.exposures[o.index]
     p = doubted.physics
     # A simulation without beam has no profile; what it lacks is then judged by the full one's.
@@ -245,22 +246,32 @@ def _response(doubted: Recording, recording: Recording, o: Observed) -> Response
         facet=exposure.facet,
         samples=20,
     )
-    s = np.clip(signed_distance(curve, o.profile_points)[1], 0, curve.arc_length()[-1])
+    points = np.concatenate([o.points, o.profile_points])
+    s = np.clip(signed_distance(curve, points)[1], 0, curve.arc_length()[-1])
     index = np.interp(s, curve.arc_length(), np.arange(len(curve.points)))
     low = np.minimum(index.astype(int), len(curve.points) - 2)
     part = (index - low)[:, None]
     profile = np.maximum((1 - part) * light[low] + part * light[low + 1], 0.0)
-    blur = o.blur * o.mm_per_px
+    normal = beside(curve, s, np.full(len(s), 0.5)) - beside(curve, s, np.full(len(s), -0.5))
+    blur = o.blur * mm_per_px(pose_of(o.view), points, normal)
+    n = len(o.points)
+    mean = float(blur[n:].mean()) if len(blur) > n else float(blur.mean())
 
-    def width2(stretch: float, b: Array) -> Array:
+    def seen(b: Array, stretch: float = 1.0) -> tuple[Array, Array]:
+        """Squares of the widths, and the centres."""
         f = np.fft.rfft(profile, axis=1)
         k = 2 * np.pi * np.fft.rfftfreq(len(q), q[1] - q[0])
         blurred = np.fft.irfft(f * np.exp(-0.5 * (k * b[:, None] / stretch) ** 2), len(q), axis=1)
-        grid = np.broadcast_to(stretch * q, blurred.shape)
-        return adaptive(grid, np.maximum(blurred, 0.0), np.zeros(len(blurred)))[1] ** 2
+        width, centre = placed(np.broadcast_to(stretch * q, blurred.shape), np.maximum(blurred, 0.0))
+        return width**2, centre
 
-    step, same = 0.01, np.full(len(blur), float(blur.mean()))
-    at, near = width2(1.0, blur), width2(1.0, same)
-    slope = (width2(1 + step, blur) - width2(1 - step, blur)) / (width2(1 + step, same) - width2(1 - step, same))
-    by_blur = (width2(1.0, 1.02 * blur) - width2(1.0, 0.98 * blur)) / ((1.02**2 - 0.98**2) * blur**2)
-    return Response(float(blur.mean()), at, near, slope, by_blur)
+    step, same = 0.01, np.full(len(blur), mean)
+    (at, there), (near, alike) = seen(blur), seen(same)
+    slope = (seen(blur, 1 + step)[0] - seen(blur, 1 - step)[0]) / (seen(same, 1 + step)[0] - seen(same, 1 - step)[0])
+    by_blur, moved = (
+        (more - less) / ((1.02**2 - 0.98**2) * blur**2)
+        for more, less in zip(seen(1.02 * blur), seen(0.98 * blur), strict=True)
+    )
+    if not p.beam:
+        there, alike, moved = np.zeros((3, len(s)))
+    return Response(mean, at[n:], near[n:], slope[n:], by_blur[n:], (there - alike)[:n], moved[:n], blur[:n] ** 2)

@@ -16,6 +16,7 @@ from benchsim.instruments.bench.observed import (
     FLUX_FLOOR,
     SHAPE_BINS,
     WIDTH_FLOOR,
+    WIDTH_SLOPE,
     Observed,
     beside,
     mm_per_px,
@@ -132,17 +133,19 @@ def _simulated(
     t = np.linspace(low, high, 2 * SHAPE_BINS + 1)[1::2]
     j = _pose_shift(seen, solved, beside(curve, s, np.zeros(len(s))), _normals(curve, s))
     covariance = np.diag(np.full(len(s), centre_sigma**2)) + corner_sigma**2 * j @ j.T
+    points = beside(curve, t, np.zeros(len(t)))
+    scale = mm_per_px(solved, points, _normals(curve, t))
+    behind = rays.predict(nominal(recording), exposure, blur=blur * float(scale.mean()))
+    aside = np.zeros(len(s)) if behind.aside is None else np.interp(s, arc, behind.aside)
     shape = no_shape()
     if camera.gamma != "unknown" and curve.width is not None and curve.flux is not None:
-        points = beside(curve, t, np.zeros(len(t)))
-        scale = mm_per_px(solved, points, _normals(curve, t))
         width2 = np.interp(t, arc, curve.width) ** 2 + (blur * scale) ** 2
         shape = {
             "profile_points": points,
             "profile_s": t,
             "width2": width2,
             "width2_covariance": np.diag((2 * width_fraction * width2) ** 2)
-            + smooth_floor(t, 2 * WIDTH_FLOOR * width2),
+            + smooth_floor(t, 2 * WIDTH_FLOOR * width2, 2 * WIDTH_SLOPE * width2),
             "log_flux": np.log(np.interp(t, arc, curve.flux)),
             "log_flux_covariance": np.diag(np.full(len(t), flux_sigma**2))
             + smooth_floor(t, np.full(len(t), FLUX_FLOOR)),
@@ -151,7 +154,7 @@ def _simulated(
     return Observed(
         index=index,
         name=exposure.name,
-        points=beside(curve, s, np.zeros(len(s))),
+        points=beside(curve, s, aside),
         s=s,
         covariance=covariance,
         view=seen,

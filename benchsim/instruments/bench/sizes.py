@@ -1,7 +1,8 @@
 """Millimetres on the trace: of an effect that is there as a whole or not, and of what is left beside what was found.
 
 A share of facets, beam or diffraction says that they are there; how much they matter is what they move. Diffraction
-changes the trace's width and leaves its centre line where it is: its size is 0, however surely it is there.
+changes the trace's width and leaves the mean of its light where it is; the centre of lopsided light it moves by
+micrometres, so that its size is small however surely it is there.
 """
 
 from __future__ import annotations

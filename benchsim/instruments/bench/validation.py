@@ -137,6 +137,7 @@ def validate_trace(
     s: Array,
     covariance: Array,
     measured: Callable[[Array], Array] | None = None,
+    blur: float = 0.0,
 ) -> ExposureValidation:
     """Compare one trace with the vector model and with the ray model.
 
@@ -155,6 +156,8 @@ def validate_trace(
     measured : callable, optional
         Coordinates in which light at true places of the board, (k, 2) mm, is measured, where the file's effects lie
         between board and pixel (`chain.measured`); default the true places. The vector model as printed knows none.
+    blur : float
+        rms of the camera's across the trace [mm].
 
     Returns
     -------
@@ -172,7 +175,7 @@ def validate_trace(
         return vector.trace(mirror, exposure, placement=place(mirror, exposure, errors), screen=wide, count=201)
 
     def bench(errors: SettingErrors) -> Curve:
-        curve = rays.predict(recording, exposure, errors, samples=64)
+        curve = rays.predict(recording, exposure, errors, samples=64, blur=blur).at_centre()
         return curve if measured is None else replace(curve, points=measured(curve.points))
 
     binned = bin_trace(s, covariance)

@@ -1,0 +1,82 @@
+"""Where across itself a line of light lies: one functional, for what is photographed and for what is predicted.
+
+The mean of the light is not it: a faint tail on one side (a ghost, haze, a beam that is cut off) that only one of the
+two has moves the mean by its share times its distance. The centre μ of a profile L(q) of adaptive width σ solves
+
+    ∫ ψ((q − μ)/σ) L(q) dq = 0,    ψ(u) = u (1 − β u²) exp(−u²/2 s²).
+
+The Gaussian forgets light beyond three widths; the cubic turns the influence over beyond 1.6, so that light that is
+spread like the line itself and lies beside it pulls to either side about as much. What ``s`` and ``β`` trade: per 1 %
+of the light on one side a copy of a Gaussian line at 2, 4 and 8 σ moves the centre by 1.3, −1.7 and 0 thousandths of σ,
+an exponential tail of those lengths by 2.1, 1.1 and 0.5, a feature half as wide as the line by −2.9, −0.9 and 0; the
+mean moves by 20, 40 and 80. With β = 0 the first would be 7.4. The noise is 1.43 times that of the best place that a
+known Gaussian shape allows where all pixels are equally noisy, 1.95 times where it is the light's own; a profile is
+placed by all of its line's mean shape, so that only the place of that, the mean of hundreds of profiles, has this
+noise. A flat top holds less: between sharp edges it is two to three times as much, and what makes the top uneven counts
+more.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+WEIGHT, CUBIC = 1.0, 0.37
+"""s and β, see above."""
+
+STEPS = 6
+"""Of Newton's method, from the mean of any line that is one: the last is below 1e-9 σ."""
+
+
+def influence(u: Array, blur: Array | float = 0.0) -> tuple[Array, Array]:
+    """ψ and its derivative at u, averaged over a Gaussian about it.
+
+    Parameters
+    ----------
+    u : array
+        Distance from the centre [σ].
+    blur : array or float
+        rms of the Gaussian [σ].
+    """
+    s2, b2 = WEIGHT**2, np.square(blur)
+    wide = s2 + b2
+    left = s2 / wide
+    weight = np.sqrt(left) * np.exp((-0.5 / wide) * (u * u))
+    # What the weight leaves of the Gaussian is one about ``at``, of variance ``var``.
+    at, var = left * u, left * b2
+    bent = at * (1 - CUBIC * (at * at + 3 * var))
+    return weight * bent, weight * (left * (1 - 3 * CUBIC * (at * at + var)) - bent * (u / wide))
+
+
+def centre(q: Array, light: Array, width: Array, start: Array, blur: Array | float = 0.0, steps: int = STEPS) -> Array:
+    """Centres of profiles whose adaptive widths are known.
+
+    Parameters
+    ----------
+    q, light : (m, n) array
+        Offsets and light at them (samples of an evenly spaced profile, or weights of nodes).
+    width : (m,) array
+        σ of each, same unit as ``q``.
+    start : (m,) array
+        Within a width of the centre.
+    blur : float, or array that broadcasts against q
+        rms of a Gaussian into which the light of each point is spread.
+    steps : int
+
+    Returns
+    -------
+    (m,) ndarray
+        Undefined for two peaks more than two widths apart.
+    """
+    scale = width[:, None]
+    mu, spread = np.asarray(start, float), np.asarray(blur, float) / scale
+    for _ in range(steps):
+        pull, slope = (np.einsum("mn,mn->m", light, p) for p in influence((q - mu[:, None]) / scale, spread))
+        # A flat or a double crest holds no centre: it stays where it was.
+        step = pull / np.where(slope > 0, slope, np.inf)
+        mu = mu + width * np.clip(step, -0.25, 0.25)
+        if np.max(np.abs(step), initial=0.0) < 1e-9:
+            break
+    return mu
