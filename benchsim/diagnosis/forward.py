@@ -49,8 +49,8 @@ class Model:
     losses: Array
 
 
-def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> Model:
-    """The model that predicts best: grown from nothing, or from a set that evidence favours if that does better.
+def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tuple[Model, Model]:
+    """Nothing, and the model that predicts best: grown from it, or from a set that evidence favours if that is better.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> Mod
         other = model(effects)
         if other is not None and _better(problem, found, other):
             found = grown(other)
-    return found
+    return nothing, found
 
 
 def gain(problem: Problem, before: Model, after: Model) -> tuple[float, float]:

@@ -116,9 +116,13 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     on = naming.null
     lone: tuple[str, ...] = ()
     opened: tuple[tuple[Effects, ...], ...] = ()
-    if findings.claim is not None and (findings.stands or findings.written):
-        on, lone, opened = _written(problem, naming, best, findings, many, notes)
-        said = "class" if said == "named" and opened else said
+    if findings.claim is not None and (findings.stands or findings.written or not problem.stated):
+        if problem.stated or not many:
+            on, lone, opened = _written(problem, naming, best, findings, many, notes)
+        else:
+            findings, on, lone, opened = _forward(problem, naming, best, findings, notes)
+        if said in ("named", "class"):
+            said = "class" if opened else "named"
     elif said == "nothing-missing":
         opened = _doubted(problem, naming, best.hypotheses)
         said = "class" if opened else said
@@ -140,15 +144,11 @@ def _written(
     """The model that is stated, its effects without rivals, and what is open beside them.
 
     What is certain by the rules stays; of the rest, what settings left out are predicted as well without is not
-    stated. Where nobody stated the errors (a mount's records are judged by their own scatter) prediction judges all.
+    stated.
     """
     assert findings.claim is not None
     lone, opened, effects = findings.claim.lone, findings.claim.classes, best.fit.effects
-    sure = {
-        e
-        for e in lone
-        if verdict.confidence(best.hypotheses.probability([(e,)]), findings) in verdict.CERTAIN and problem.stated
-    }
+    sure = {e for e in lone if verdict.confidence(best.hypotheses.probability([(e,)]), findings) in verdict.CERTAIN}
     others = [
         f
         for f in naming.fits
@@ -159,15 +159,11 @@ def _written(
     ]
     if not many:
         return best.fit, lone, opened
-    if problem.stated:
-        fit = predictive.simplest(problem, naming, many, [best.fit, *others])
-    else:
-        fit = _forward(problem, naming, best.fit)
+    fit = predictive.simplest(problem, naming, many, [best.fit, *others])
     if fit.effects == effects:
         return fit, lone, opened
-    of = "settings" if problem.stated else "records"
     instead = " + ".join(fit.effects) or "nothing"
-    notes.append(f"{' + '.join(effects)} fits best; left-out {of} are predicted as well, or better, by {instead}.")
+    notes.append(f"{' + '.join(effects)} fits best; left-out settings are predicted as well by {instead}.")
     still = tuple(g for g in opened if set(g[0]) <= {*fit.effects, settings.NAME})
     if not fit.effects:
         still = (((), best.effects),)
@@ -176,10 +172,23 @@ def _written(
     return fit, tuple(e for e in kept if e not in taken), still
 
 
-def _forward(problem: Problem, naming: Naming, fit: Fit) -> Fit:
-    """The model that predicts best, where nobody stated the errors."""
-    likely = [f.effects for f in naming.fits if f.converged and f.effects != fit.effects][:2]
-    return forward.as_fit(problem, naming, forward.best(problem, naming, [fit.effects, *likely]))
+def _forward(
+    problem: Problem, naming: Naming, best: Best, findings: Findings, notes: list[str]
+) -> tuple[Findings, Fit, tuple[str, ...], tuple[tuple[Effects, ...], ...]]:
+    """`_written` where nobody stated the errors: a mount's records are judged by their own scatter, and evidence, which
+    takes that for normal, is not what decides; what is stated is the model that predicts best (`forward`)."""
+    claim = findings.claim
+    assert claim is not None
+    likely = [f.effects for f in naming.fits if f.converged and f.effects != best.fit.effects][:2]
+    nothing, model = forward.best(problem, naming, [best.fit.effects, *likely])
+    fit = forward.as_fit(problem, naming, model)
+    won, sigma = forward.gain(problem, nothing, model)
+    findings = replace(findings, predicted=won / max(sigma, 1e-12))
+    if fit.effects == best.fit.effects:
+        return findings, fit, claim.lone, claim.classes
+    instead = " + ".join(fit.effects) or "nothing"
+    notes.append(f"{' + '.join(best.effects)} fits best; records left out are predicted better by {instead}.")
+    return findings, fit, fit.effects, () if fit.effects else (((), best.effects),)
 
 
 def _predicted(problem: Problem, naming: Naming, many: tuple[Fold, ...], findings: Findings, best: Best) -> Findings:
