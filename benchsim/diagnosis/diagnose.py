@@ -61,7 +61,7 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
     notes = list(judged.notes)
     tell("settings left out", 0.8)
     # Where nobody stated the errors, the model that predicts best is stated already, whatever a function would fit.
-    laid = winner(findings, place) if said == "located" and (problem.stated or not on.effects) else None
+    laid = winner(findings, place) if said == "located" and not (problem.judged_forward and on.effects) else None
     many = judged.folds
     law: Law | None = None
     if laid is not None:

@@ -116,8 +116,8 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     on = naming.null
     lone: tuple[str, ...] = ()
     opened: tuple[tuple[Effects, ...], ...] = ()
-    if findings.claim is not None and (findings.stands or findings.written or not problem.stated):
-        if problem.stated or not many:
+    if findings.claim is not None and (findings.stands or findings.written or problem.judged_forward):
+        if not problem.judged_forward or not many:
             on, lone, opened = _written(problem, naming, best, findings, many, notes)
         else:
             findings, on, lone, opened = _forward(problem, naming, best, findings, notes)
