@@ -100,8 +100,8 @@ def test_singles_are_named_and_sized(gram, sets, least, spread):
 
 
 def test_the_setting_scale_is_found_and_costs_no_name(gram):
-    """Twelve errors know the scale to a fifth, and its prior takes a third of it back: seen as 2.1 in the mean, the median
-    of three sets lies between the bounds in 99 % of runs."""
+    """Twelve errors know the scale to a fifth, and its prior takes a third of it back (2.1 in the mean): the median of
+    three sets lies between the bounds in 99 % of runs."""
     rng, scales = np.random.default_rng(2), []
     for seed in range(3):
         problem, _ = lines.problem(drawn(lines.CATALOGUE[1], 12.0, rng, gram), seed=seed, setting_scale=3.0)
