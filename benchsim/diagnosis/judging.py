@@ -255,19 +255,19 @@ def _doubted(problem: Problem, naming: Naming, hypotheses: Weighed) -> tuple[tup
 
 def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
     """The most probable converged hypothesis, without the effects that are not likely."""
-    hypotheses = classes.weighed(naming, problem.stated)
-    z = hypotheses.log_evidence
+    weighed = classes.weighed(naming, problem.stated)
+    z = weighed.log_evidence
     fits = {f.effects: f for f in naming.fits if f.converged and f.effects} | {(): naming.null}
     within = classes.space(problem, naming.linear, naming.null.setting_scale)
     nothing = np.zeros(len(naming.linear.names))
-    null = Best(naming.null, (), None, hypotheses, naming.linear, within, nothing)
+    null = Best(naming.null, (), None, weighed, naming.linear, within, nothing)
     effects = max((h for h in z if h and _of(h) in fits), key=lambda h: z[h], default=())
     while effects:
         fit = fits[_of(effects)]
         linear = classes.about(naming.linear, fit)
         within = classes.space(problem, linear, fit.setting_scale)
         signal = classes.amplitude_vector(problem, naming.linear.names, fit)
-        hypotheses = classes.complete(classes.weighed(naming, problem.stated), effects, within)
+        hypotheses = classes.complete(weighed, effects, within)
         kept = classes.likely(hypotheses, effects, signal, within)
         if kept and (kept == effects or _of(kept) not in fits):
             # What was never refitted supports no claim: the larger set keeps its place.
@@ -290,8 +290,7 @@ def _beside(problem: Problem, naming: Naming, best: Best, laid: Attached) -> Bes
     white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
     linear = attachments.with_columns(best.linear, white @ laid.root)
     within = classes.space(problem, linear, best.fit.setting_scale)
-    signal = classes.amplitude_vector(problem, naming.linear.names, best.fit)
-    claim = classes.claim(best.hypotheses, best.effects, signal, within)
+    claim = classes.claim(best.hypotheses, best.effects, best.signal, within)
     return replace(best, claim=claim, linear=linear, space=within)
 
 

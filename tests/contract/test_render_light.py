@@ -13,20 +13,11 @@ from first_principles import Errors, Tracer
 from holding import bench
 from landing import CHANCE, PITCH, SEEDS, across, expectation, land, stretches
 
-from benchsim.bench.errors import BenchsimError
 from benchsim.render import irradiance
 
+pytestmark = pytest.mark.usefixtures("backend")
+
 SLOW = [("a", "small"), ("b", "small"), ("b", "cap")]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def backend():
-    from benchsim.render.backend import use
-
-    try:
-        use()
-    except BenchsimError as error:
-        pytest.skip(str(error))
 
 
 def sizes(small, cap, *more):
