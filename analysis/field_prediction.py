@@ -99,7 +99,8 @@ def one(folder: Path, part: float) -> dict[str, object]:
 def table(rows: list[dict]) -> str:
     """Per heliostat and pooled: median and rms, records that both miss by more than `WRONG_DAY` aside."""
     lines = [
-        "heliostat early late  aside | median: stated amended  plain | rms: stated amended  plain |  cpu | verdict: found"
+        "heliostat early late  aside | median: stated amended  plain | rms: stated amended  plain |  cpu | "
+        "verdict: found"
     ]
     pooled: dict[str, list[float]] = {"stated": [], "amended": [], "plain": []}
     worse = []

@@ -49,8 +49,8 @@ class Model:
     losses: Array
 
 
-def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> Model:
-    """The model that predicts best: grown from nothing, or from a set that evidence favours if that does better.
+def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tuple[Model, Model]:
+    """Nothing, and the model that predicts best: grown from it, or from a set that evidence favours if that is better.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> Mod
         other = model(effects)
         if other is not None and _better(problem, found, other):
             found = grown(other)
-    return found
+    return nothing, found
 
 
 def gain(problem: Problem, before: Model, after: Model) -> tuple[float, float]:
@@ -189,8 +189,10 @@ def as_fit(problem: Problem, naming: Naming, model: Model) -> Fit:
     chosen = tuple(e for e in problem.catalogue if e.name in model.effects)
     h = Hypothesis(chosen)
     at = {**{n.name: 0.0 for n in problem.nuisances}, **model.values}
-    lin = linear.linearise(problem, at, h.amplitudes, naming.noise.covariance)
-    robust = linear.linearise(problem, at, h.amplitudes, problem.covariance)
+    known = linear.columns(problem, at, (*problem.nuisances, *h.amplitudes))
+    known[:, : len(problem.nuisances)] *= [n.sigma for n in problem.nuisances]
+    lin = linear.linearise(problem, at, h.amplitudes, naming.noise.covariance, known)
+    robust = linear.linearise(problem, at, h.amplitudes, problem.covariance, known)
     white = _white(problem, linear.factors(problem.covariance), at)
     weight = (1 + white**2) ** -0.75
     size = np.array([p.sigma for p in h.amplitudes])

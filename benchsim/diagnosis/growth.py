@@ -302,8 +302,8 @@ def _joined(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[
 def _grown(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[Effects, Solved]) -> Iterator[Solved]:
     """The best set and one more effect, both sought from the stated settings.
 
-    What bends the data is fitted, each from size 0: of a coma of 15 sigma beside the tilt that hid it neither a column
-    nor foresight saw enough.
+    What bends the data is fitted, all together from size 0 and the stated settings: of a coma of 15 sigma beside the
+    tilt that hid it neither a column nor foresight saw enough.
     """
     own = best.fit.effects
     if len(own) >= LARGEST or any(catalogue.effects[e].whole for e in own):
@@ -316,9 +316,9 @@ def _grown(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[E
         bends = not evidence.shapes(e) and any(_bends(context, e, a, a.sigma**a.power) for a in evidence.amplitudes(e))
         if bends and not e.whole:
             h = hypothesis_of(catalogue, tuple(n for n in catalogue.effects if n in own or n == e.name))
-            sizes = {a.name: 0.0 for a in h.amplitudes} | _sizes(hypothesis_of(catalogue, own), best)
-            point = _at(h, sizes, best.fit.values, np.zeros_like(best.point.nuisance))
-            begun.append(_from_stated(context, h, point, best, _prior(catalogue, h.names)))
+            zero = {a.name: 0.0 for a in h.amplitudes}
+            point = _at(h, zero, best.fit.values, np.zeros_like(best.point.nuisance))
+            begun.append(_Begin(h, point, context.stated() or best.known, _prior(catalogue, h.names), stated=False))
     yield from each(context, _fitted, begun)
 
 

@@ -111,7 +111,7 @@ def in_turn(problem: Problem) -> NDArray[np.intp]:
     """
     groups = list(dict.fromkeys(problem.groups))
     count = min(FOLDS, len(groups))
-    number = {g: i % count if problem.stated else i * count // len(groups) for i, g in enumerate(groups)}
+    number = {g: i * count // len(groups) if problem.judged_forward else i % count for i, g in enumerate(groups)}
     return np.array([number[g] for g in problem.groups])
 
 

@@ -116,9 +116,13 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     on = naming.null
     lone: tuple[str, ...] = ()
     opened: tuple[tuple[Effects, ...], ...] = ()
-    if findings.claim is not None and (findings.stands or findings.written):
-        on, lone, opened = _written(problem, naming, best, findings, many, notes)
-        said = "class" if said == "named" and opened else said
+    if findings.claim is not None and (findings.stands or findings.written or problem.judged_forward):
+        if not problem.judged_forward or not many:
+            on, lone, opened = _written(problem, naming, best, findings, many, notes)
+        else:
+            findings, on, lone, opened = _forward(problem, naming, best, findings, notes)
+        if said in ("named", "class"):
+            said = "class" if opened else "named"
     elif said == "nothing-missing":
         opened = _doubted(problem, naming, best.hypotheses)
         said = "class" if opened else said
@@ -140,15 +144,11 @@ def _written(
     """The model that is stated, its effects without rivals, and what is open beside them.
 
     What is certain by the rules stays; of the rest, what settings left out are predicted as well without is not
-    stated. Where nobody stated the errors (a mount's records are judged by their own scatter) prediction judges all.
+    stated.
     """
     assert findings.claim is not None
     lone, opened, effects = findings.claim.lone, findings.claim.classes, best.fit.effects
-    sure = {
-        e
-        for e in lone
-        if verdict.confidence(best.hypotheses.probability([(e,)]), findings) in verdict.CERTAIN and problem.stated
-    }
+    sure = {e for e in lone if verdict.confidence(best.hypotheses.probability([(e,)]), findings) in verdict.CERTAIN}
     others = [
         f
         for f in naming.fits
@@ -159,15 +159,11 @@ def _written(
     ]
     if not many:
         return best.fit, lone, opened
-    if problem.stated:
-        fit = predictive.simplest(problem, naming, many, [best.fit, *others])
-    else:
-        fit = _forward(problem, naming, best.fit)
+    fit = predictive.simplest(problem, naming, many, [best.fit, *others])
     if fit.effects == effects:
         return fit, lone, opened
-    of = "settings" if problem.stated else "records"
     instead = " + ".join(fit.effects) or "nothing"
-    notes.append(f"{' + '.join(effects)} fits best; left-out {of} are predicted as well, or better, by {instead}.")
+    notes.append(f"{' + '.join(effects)} fits best; left-out settings are predicted as well by {instead}.")
     still = tuple(g for g in opened if set(g[0]) <= {*fit.effects, settings.NAME})
     if not fit.effects:
         still = (((), best.effects),)
@@ -176,10 +172,23 @@ def _written(
     return fit, tuple(e for e in kept if e not in taken), still
 
 
-def _forward(problem: Problem, naming: Naming, fit: Fit) -> Fit:
-    """The model that predicts best, where nobody stated the errors."""
-    likely = [f.effects for f in naming.fits if f.converged and f.effects != fit.effects][:2]
-    return forward.as_fit(problem, naming, forward.best(problem, naming, [fit.effects, *likely]))
+def _forward(
+    problem: Problem, naming: Naming, best: Best, findings: Findings, notes: list[str]
+) -> tuple[Findings, Fit, tuple[str, ...], tuple[tuple[Effects, ...], ...]]:
+    """`_written` where nobody stated the errors: a mount's records are judged by their own scatter, and evidence, which
+    takes that for normal, is not what decides; what is stated is the model that predicts best (`forward`)."""
+    claim = findings.claim
+    assert claim is not None
+    likely = [f.effects for f in naming.fits if f.converged and f.effects != best.fit.effects][:2]
+    nothing, model = forward.best(problem, naming, [best.fit.effects, *likely])
+    fit = forward.as_fit(problem, naming, model)
+    won, sigma = forward.gain(problem, nothing, model)
+    findings = replace(findings, predicted=won / max(sigma, 1e-12))
+    if fit.effects == best.fit.effects:
+        return findings, fit, claim.lone, claim.classes
+    instead = " + ".join(fit.effects) or "nothing"
+    notes.append(f"{' + '.join(best.effects)} fits best; records left out are predicted better by {instead}.")
+    return findings, fit, fit.effects, () if fit.effects else (((), best.effects),)
 
 
 def _predicted(problem: Problem, naming: Naming, many: tuple[Fold, ...], findings: Findings, best: Best) -> Findings:
@@ -246,19 +255,19 @@ def _doubted(problem: Problem, naming: Naming, hypotheses: Weighed) -> tuple[tup
 
 def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
     """The most probable converged hypothesis, without the effects that are not likely."""
-    hypotheses = classes.weighed(naming, problem.stated)
-    z = hypotheses.log_evidence
+    weighed = classes.weighed(naming, problem.stated)
+    z = weighed.log_evidence
     fits = {f.effects: f for f in naming.fits if f.converged and f.effects} | {(): naming.null}
     within = classes.space(problem, naming.linear, naming.null.setting_scale)
     nothing = np.zeros(len(naming.linear.names))
-    null = Best(naming.null, (), None, hypotheses, naming.linear, within, nothing)
+    null = Best(naming.null, (), None, weighed, naming.linear, within, nothing)
     effects = max((h for h in z if h and _of(h) in fits), key=lambda h: z[h], default=())
     while effects:
         fit = fits[_of(effects)]
         linear = classes.about(naming.linear, fit)
         within = classes.space(problem, linear, fit.setting_scale)
         signal = classes.amplitude_vector(problem, naming.linear.names, fit)
-        hypotheses = classes.complete(classes.weighed(naming, problem.stated), effects, within)
+        hypotheses = classes.complete(weighed, effects, within)
         kept = classes.likely(hypotheses, effects, signal, within)
         if kept and (kept == effects or _of(kept) not in fits):
             # What was never refitted supports no claim: the larger set keeps its place.
@@ -281,8 +290,7 @@ def _beside(problem: Problem, naming: Naming, best: Best, laid: Attached) -> Bes
     white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
     linear = attachments.with_columns(best.linear, white @ laid.root)
     within = classes.space(problem, linear, best.fit.setting_scale)
-    signal = classes.amplitude_vector(problem, naming.linear.names, best.fit)
-    claim = classes.claim(best.hypotheses, best.effects, signal, within)
+    claim = classes.claim(best.hypotheses, best.effects, best.signal, within)
     return replace(best, claim=claim, linear=linear, space=within)
 
 

@@ -200,6 +200,12 @@ class Problem:
     stated: bool = True
     spread: Callable[..., Iterable[Any]] = field(default=map)
 
+    @property
+    def judged_forward(self) -> bool:
+        """Whether nothing is known of the errors but their scatter, and nothing of what neighbours in time share: then
+        models are judged by what they predict of another time (`forward`)."""
+        return not self.stated and not any(p.scaled for p in self.nuisances)
+
     def rows(self, block: int) -> slice:
         """Where a block's data lie."""
         first, last = np.searchsorted(self.block, [block, block + 1])

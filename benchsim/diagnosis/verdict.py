@@ -18,7 +18,7 @@ from benchsim.diagnosis.fits import Fit
 from benchsim.diagnosis.predictive import BETTER
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.remainder import Remainder
-from benchsim.diagnosis.result import Found, Location, Size
+from benchsim.diagnosis.result import CONFIDENCES, Found, Location, Size
 
 NAMED_MARGIN, PROBABLE_MARGIN = 3.0, 0.0
 
@@ -30,7 +30,7 @@ NEEDED = 0.5
 """Part of what a name gains by itself that it has to add to a function that gains more: what adds less explains what
 the function explains, only worse."""
 
-CERTAIN = ("named", "probable")
+CERTAIN = CONFIDENCES[:2]
 
 LEFT = 0.05
 """Part of what the names removed that may be left without changing the verdict: a name that stands for nearly all may

@@ -13,8 +13,6 @@ from benchsim.instruments.bench.chain import measured, view_of_all
 from benchsim.rays import project_board, see
 from benchsim.trace.pose import Pose
 
-mended = pytest.mark.xfail(strict=False, reason="being mended")
-
 
 def two(*tables):
     return pytest.mark.parametrize("size", tables, ids=["small", "cap"] + ["other"] * (len(tables) - 2))
@@ -118,7 +116,6 @@ def test_screen_bow(camera, size):
         assert np.abs(seen({"screen-bow": size}, printed=is_print) - moved).max() < 1e-3
 
 
-@mended
 @two({"st_y": 0.2, "st_z": -0.1}, {"st_y": -20.0}, {"st_z": 20.0})
 def test_screen_tilt_is_pose(camera, size):
     """Expects nothing in the board's own frame: the board "turns with its marks … and marks in their own plane cannot
@@ -155,7 +152,7 @@ MEASURED = {
     "screen-tilt": ({"st_y": 0.2, "st_z": -0.3}, {"st_y": -20.0, "st_z": 20.0}),
 }
 CASES = [
-    pytest.param(name, size, id=f"{name}-{label}", marks=[mended] if name == "screen-tilt" else [])
+    pytest.param(name, size, id=f"{name}-{label}")
     for name, sizes in MEASURED.items()
     for label, size in zip(("small", "cap"), sizes, strict=True)
 ]

@@ -14,7 +14,6 @@ from benchsim.bench.curve import signed_distance
 from benchsim.rays import ghost, predict
 
 both = pytest.mark.parametrize("letter", ["a", "b"])
-mended = pytest.mark.xfail(strict=False, reason="being mended")
 
 
 def two(*tables):
@@ -91,7 +90,6 @@ def test_azimuth_offset(letter, size):
     polygon_and_pencil(letter, "azimuth-offset", size)
 
 
-@mended
 @both
 @two({"glass": 0.1}, {"glass": 2.0})
 def test_second_surface(letter, size):
@@ -213,7 +211,6 @@ def test_screen_distance(letter, size):
     hold(bench(letter, screen_roll=2.0), {"screen-distance": size})
 
 
-@mended
 @both
 @two({"st_y": 0.2, "st_z": -0.3}, {"st_y": 20.0}, {"st_z": -20.0})
 @pytest.mark.parametrize("roll", [0.0, np.pi])
@@ -224,14 +221,12 @@ def test_screen_tilt(letter, size, roll):
     hold(bench(letter, screen_roll=roll), {"screen-tilt": size})
 
 
-@mended
 @both
 def test_screen_tilt_about_both_axes(letter):
     """Expects the turn without twist that lays the board into the plane."""
     hold(bench(letter), {"screen-tilt": {"st_y": 8.0, "st_z": -12.0}})
 
 
-@mended
 @both
 def test_tilt_and_rotation(letter):
     """Expects the plane x = st_z y + st_y z whatever the board's rotation in it: rotated first, then laid into the
@@ -239,7 +234,6 @@ def test_tilt_and_rotation(letter):
     hold(bench(letter, screen_roll=0.8), {"screen-tilt": {"st_y": 12.0}, "screen-rotation": {"srot": -20.0}})
 
 
-@mended
 @both
 def test_tilt_and_opposite_reseating_cancel(letter):
     """Expects nothing left of a tilt that a re-seating turn undoes: both are rigid turns of the board about its centre.

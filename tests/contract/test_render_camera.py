@@ -8,29 +8,19 @@ from camera_principles import look, printed, project, raised, read
 from first_principles import turn, unit
 from holding import bench
 
-from benchsim.bench.errors import BenchsimError
 from benchsim.bench.place import place
 from benchsim.render import ScreenMap, photograph
 from benchsim.render.charge import arrived
 
+pytestmark = pytest.mark.usefixtures("backend")
+
 SPOTS = np.stack(np.meshgrid(np.linspace(-250.0, 250.0, 5), np.linspace(-250.0, 250.0, 5)), -1).reshape(-1, 2)
 SIGMA = 3.0  # mm, of a spot
 PLACE = 0.02  # px, of a spot's centroid: some 0.02 mm
-mended = pytest.mark.xfail(strict=False, reason="being mended")
 
 
 def two(*tables):
     return pytest.mark.parametrize("size", tables, ids=["small", "cap"] + ["other"] * (len(tables) - 2))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def backend():
-    from benchsim.render.backend import use
-
-    try:
-        use()
-    except BenchsimError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +96,6 @@ def test_screen_distance(camera, light, size):
     check(camera, light, "screen-distance", size)
 
 
-@mended
 @two({"st_y": 0.5, "st_z": -0.5}, {"st_y": 20.0}, {"st_z": -20.0})
 def test_screen_tilt(camera, light, size):
     """Expects "the board turned rigidly" to be seen turned, its coordinates "measured along the board"."""

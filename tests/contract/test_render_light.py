@@ -13,21 +13,11 @@ from first_principles import Errors, Tracer
 from holding import bench
 from landing import CHANCE, PITCH, SEEDS, across, expectation, land, stretches
 
-from benchsim.bench.errors import BenchsimError
 from benchsim.render import irradiance
 
+pytestmark = pytest.mark.usefixtures("backend")
+
 SLOW = [("a", "small"), ("b", "small"), ("b", "cap")]
-mended = pytest.mark.xfail(strict=False, reason="being mended")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def backend():
-    from benchsim.render.backend import use
-
-    try:
-        use()
-    except BenchsimError as error:
-        pytest.skip(str(error))
 
 
 def sizes(small, cap, *more):
@@ -98,7 +88,6 @@ def test_azimuth_offset(letter, size):
     land(bench(letter), {"azimuth-offset": size})
 
 
-@mended
 @sizes({"glass": 0.1}, {"glass": 2.0})
 def test_second_surface(letter, size):
     """Expects the coating's light "2 `glass` tan θ′ further on, unclipped" (the ghost of some per cent left aside)."""
@@ -175,7 +164,6 @@ def test_screen_distance(letter, size):
     land(bench(letter), {"screen-distance": size})
 
 
-@mended
 @sizes({"st_y": 0.2, "st_z": -0.3}, {"st_y": 20.0}, {"st_z": -20.0})
 def test_screen_tilt(letter, size):
     """Expects "the board turned rigidly so that its plane is x = sx + st_z y + st_y z"."""

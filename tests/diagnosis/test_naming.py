@@ -100,14 +100,15 @@ def test_singles_are_named_and_sized(gram, sets, least, spread):
 
 
 def test_the_setting_scale_is_found_and_costs_no_name(gram):
-    """Twelve errors know the scale to a fifth: the median of three sets lies between the bounds in 99 % of runs."""
+    """Twelve errors know the scale to a fifth, and its prior takes a third of it back (2.1 in the mean): the median of
+    three sets lies between the bounds in 99 % of runs."""
     rng, scales = np.random.default_rng(2), []
     for seed in range(3):
         problem, _ = lines.problem(drawn(lines.CATALOGUE[1], 12.0, rng, gram), seed=seed, setting_scale=3.0)
         found = name(problem)
         assert sure(found) == {"turn"} and scaled(found) > 0.3
         scales.append(found.fits[0].setting_scale)
-    assert 2 < np.median(scales) < 4.5
+    assert 1.4 < np.median(scales) < 4.5
 
 
 @pytest.mark.parametrize(("sets", "least"), [(8, 6), pytest.param(16, 14, marks=pytest.mark.slow)])
@@ -150,7 +151,8 @@ def test_the_same_data_give_the_same_naming():
 
 
 def test_predictions_are_counted_on():
-    """Refits stay below what differentiating everything once costs, four times over."""
+    """Where settings hide an effect, what bends is fitted beside it too; even so refits stay below what differentiating
+    everything once costs, twelve times over."""
     calls = []
 
     def predict(values, block):
@@ -160,7 +162,7 @@ def test_predictions_are_counted_on():
     problem, _ = lines.problem({"turn": 0.5}, seed=3, predict=predict)
     calls.clear()
     name(problem)
-    assert len(calls) < 1500
+    assert len(calls) < 4500
 
 
 def test_data_that_cannot_be_used_are_refused():

@@ -55,8 +55,8 @@ def test_of_a_class_the_most_probable_member_is_put_in(recording):
     values = {"st_y": 2.0, "st_z": -1.0, "s1.mirror_axis_1": 0.3}
     got = amend.amended(recording, diagnosis(classes=(rivals,), values=values))
     assert got.effects == {"screen-tilt": {"st_y": 2.0, "st_z": -1.0}}
-    doubtful = diagnosis(classes=(replace(rivals, probability=0.4),), values=values)
-    assert amend.amended(recording, doubtful) == recording
+    hands = diagnosis(classes=(replace(rivals, members=((), ("setting-errors",))),), values=values)
+    assert amend.amended(recording, hands) == recording
 
 
 def test_nothing_found_leaves_the_recording_as_it_is(recording):

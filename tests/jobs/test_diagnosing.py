@@ -306,9 +306,11 @@ def test_workers_and_this_process_give_the_same_limits(plan, small_bench, monkey
 
 
 def test_one_exposure_from_photograph_to_diagnosis_and_back(recording, tmp_path):
-    """End to end: a clean exposure alone is not accused, and renders like its photograph."""
+    """End to end: a clean exposure alone is not accused, and renders like its photograph. What seven numbers set once
+    say of how well they are set leaves that open."""
     result = jobs.diagnose(recording, tmp_path / "out")
-    assert result.diagnosis.verdict == "nothing-missing" and result.diagnosis.held_out is None
+    assert not result.diagnosis.effects and result.diagnosis.held_out is None
+    assert {m for c in result.diagnosis.classes for m in c.members} <= {(), ("setting-errors",)}
     assert result.diagnosis.limits and "One exposure alone" in result.text()
     pixels = json.loads((tmp_path / "out" / "pixels.json").read_text())
     assert pixels["exposures"][0]["pixels"] > 1000 and 0.85 < pixels["pooled"]["after"] < 1.2

@@ -165,7 +165,7 @@ def test_an_effect_is_the_same_in_both_rooms(name):
 
 def test_every_effect_of_the_light_is_compared():
     """An effect added to `render` has to be added here, parameter by parameter."""
-    not_light = {"facets", "finite-beam", "diffraction"}
+    not_light = {"facets", "finite-beam", "diffraction", "setting-errors"}
     camera = set(rays.camera.EFFECTS)
     assert set(EFFECTS) - not_light - camera == set(CASES) | {"second-surface"}
     for name, cases in CASES.items():

@@ -25,7 +25,7 @@ def test_every_verdict_fits_a_terminal_and_begins_with_whether_anything_is_missi
 def test_a_named_effect_comes_with_size_unit_remedy_place_and_gain(made):
     text = summary(made.diagnosis, about(made))
     for words in (
-        "screen-bow (screen; named, probability above 99.99 %)",
+        "screen-bow (screen; named; probability above 99.99 %)",
         "bow_y = 0.03120 ± 0.00091 1/m",
         "Put a straightedge across the board",
         "It shows in marks (21.4 sigma) and centre line (11.3 sigma), all exposures together.",

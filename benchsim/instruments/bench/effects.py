@@ -401,7 +401,6 @@ CATALOGUE: tuple[Entry, ...] = (
         settings.EFFECT.says,
         settings.EFFECT.remedy,
         "log-normal prior, sigma 0.3 about 1",
-        drawn="The errors of every setting are drawn so many times as large; no light is changed by itself.",
     ),
 )
 """Every effect, in the order of the documentation."""
