@@ -10,7 +10,7 @@ line shape and pose (`trace.covariance`). Width and flux: scatter and correlatio
 smooth curve, and a smooth floor. Marks: scatter of their centres about polynomials that a bent board or a wrong lens
 can follow; scatter about the pose alone would call a bow noise. On photographs of other code the polynomials' scatter
 predicts the true errors of the centres within 20 %, and bins of the centre line lie from the truth by what their
-covariance says (χ² per datum 0.8 to 1.05) without any floor.
+covariance says (χ² per datum 0.8 to 1.1); what whole traces share needs a small floor (`observed.CENTRE_FLOOR`).
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from benchsim.bench.model import Recording
 from benchsim.instruments.bench.chain import View, view
 from benchsim.instruments.bench.explain import bin_trace
 from benchsim.instruments.bench.observed import (
+    CENTRE_FLOOR,
+    CENTRE_SLOPE,
     CENTRE_BINS,
     FLUX_FLOOR,
     SHAPE_BINS,
@@ -214,7 +216,7 @@ def _reduced(recording: Recording, index: int, centres: _Centres, line: trace.Tr
         name=recording.exposures[index].name,
         points=points,
         s=binned.s,
-        covariance=binned.covariance,
+        covariance=binned.covariance + smooth_floor(binned.s, np.full(len(binned.s), CENTRE_FLOOR), CENTRE_SLOPE),
         view=centres.view,
         marks=centres.residual,
         marks_covariance=centres.covariance,
