@@ -31,9 +31,9 @@ from benchsim.bench.model import Recording
 from benchsim.instruments.bench.chain import View, view
 from benchsim.instruments.bench.explain import bin_trace
 from benchsim.instruments.bench.observed import (
+    CENTRE_BINS,
     CENTRE_FLOOR,
     CENTRE_SLOPE,
-    CENTRE_BINS,
     FLUX_FLOOR,
     SHAPE_BINS,
     WIDTH_FLOOR,

@@ -19,10 +19,10 @@ Array = NDArray[np.float64]
 CENTRE_BINS = 64
 SHAPE_BINS = 24
 
-CENTRE_FLOOR, CENTRE_SLOPE = 2.5e-3, 4e-3
+CENTRE_FLOOR, CENTRE_SLOPE = 1.5e-3, 1.5e-3
 """Smooth error of the centre line [mm], and of its slope at a trace's ends: by so much two codes' centres of lopsided
-light differ behind diffraction, though its means agree to 2e-3 (`analysis/noise_pulls.py`: without them pulls of offset
-and slope are 1.35 and 1.63 on 38 pictures by other code). What is larger hides weak tilts and drifts."""
+light differ behind diffraction (`analysis/noise_pulls.py`: without them pulls of offset, slope and bend are 1.33, 1.24
+and 1.18 on 38 pictures by other code). What is larger hides weak tilts and drifts."""
 
 WIDTH_FLOOR = 3.5e-3
 """Smooth error of a width, as a fraction, common to neighbouring bins: what the profile's finite window, its background
