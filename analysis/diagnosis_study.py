@@ -2,6 +2,7 @@
 
     python analysis/diagnosis_study.py run traces --rows single,clean --cases 300 --seed 1 --out out/study
     python analysis/diagnosis_study.py run photographs --rows clean,single --cases 100 --seed 2 --out out/study
+    python analysis/diagnosis_study.py run stressed --rows single,pair,clean --cases 20 --seed 3 --out out/study
     python analysis/diagnosis_study.py table out/study/*.jsonl
 
 Every case is drawn from (seed, row, number) alone and written as it ends; a stopped study resumes. Cases used for
@@ -26,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import stress
 import study_cases as draw
 import study_score as score
 import study_words as words
@@ -37,7 +39,7 @@ from benchsim.diagnosis import curvature
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
-from benchsim.instruments.bench import amend, observables
+from benchsim.instruments.bench import amend, observables, sizes
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.trial.cluster import MEMORY_KEPT
 from benchsim.trial.hashing import code
@@ -102,6 +104,7 @@ def verdict_of(d: Diagnosis) -> dict[str, Any]:
         "setting_scale": d.setting_scale,
         "sigma_scale": d.sigma_scale,
         "correlation": d.correlation,
+        "left": [[x.family, x.p, x.rms, x.rms_mm] for x in d.left],
     }
 
 
@@ -171,18 +174,21 @@ def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
             yield {"fresh": diagnosis.diagnose(without(replace(doubted, data=data), row, truth)).verdict}
 
 
-def photographs_case(row: str, seed: int, case: int, shrink: int) -> Iterator[Part]:
-    """One case of the photographs' tier; how visible the truth is there is read from the pictures that are judged."""
+def photographs_case(row: str, seed: int, case: int, shrink: int, tier: str = "photographs") -> Iterator[Part]:
+    """One case of the photographs' tier, or of those with a defect (`stress`); how visible the truth is there is read
+    from the pictures that are judged."""
     from benchsim.render.recording import render_recording
 
-    rng = rng_of(seed, "photographs", row, case)
-    on = stage("photographs", design(row), seed, case, shrink)
+    rng = rng_of(seed, tier, row, case)
+    on = stage(tier, design(row), seed, case, shrink)
     recording = on.recording
     drawn, values = draw.conceal(row, recording, on.sight, rng)
     truth, values = draw.in_pixels(drawn, values, on.sight.problem.catalogue, shrink)
     # Drawn for every row, so that all take the same numbers.
     speckle = float(rng.choice(SPECKLES))
     speckle = SPECKLES[1] if row == "clean-correlated" else speckle
+    kind = stress.KINDS[case % len(stress.KINDS)] if tier == "stressed" else ""
+    speckle = stress.COARSE if kind == "coarse" else speckle
     yield {
         "truth": {**draw.plain(truth), "speckle_px": speckle},
         "truth_element": draw.element_of(on.sight.problem, truth),
@@ -195,7 +201,9 @@ def photographs_case(row: str, seed: int, case: int, shrink: int) -> Iterator[Pa
         uncertainty=scaled(recording.uncertainty, truth.setting_scale),
     )
     with tempfile.TemporaryDirectory() as folder:
-        made = render_recording(stated, folder, seed=int(rng.integers(2**32)), conceal=True)
+        with stress.put(kind, rng) as defect:
+            made = render_recording(stated, folder, seed=int(rng.integers(2**32)), conceal=True)
+        yield {"stress": defect}
         taken = replace(made.recording, uncertainty=recording.uncertainty)
         observed, _lost = observables.observe(taken)
         seen = bench_problem.build(taken, observed)
@@ -205,13 +213,14 @@ def photographs_case(row: str, seed: int, case: int, shrink: int) -> Iterator[Pa
         sight = draw.Sight.of(seen) if truth.effects or truth.fields else on.sight
         bends = curvature.measure(seen)
         yield draw.visible(truth, sight, values, bends, true)
-        yield diagnosed(without(seen, row, truth), truth, bends)[1]
+        d, line = diagnosed(without(seen, row, truth), truth, bends)
+        yield line | verdict_of(sizes.sized(seen, d))
 
 
 def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int) -> dict[str, Any]:
     """A case and the code that judged it; where a complaint ended it, that and what was known by then."""
     line: dict[str, Any] = {"tier": tier, "row": row, "seed": seed, "case": case, "code": code()[:12]}
-    parts = traces_case(row, seed, case, fresh) if tier == "traces" else photographs_case(row, seed, case, shrink)
+    parts = traces_case(row, seed, case, fresh) if tier == "traces" else photographs_case(row, seed, case, shrink, tier)
     try:
         for part in parts:
             line |= part
@@ -264,7 +273,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     sub = parser.add_subparsers(dest="command", required=True)
     go = sub.add_parser("run", help="run cases that are not there yet")
-    go.add_argument("tier", choices=["traces", "photographs"])
+    go.add_argument("tier", choices=["traces", "photographs", "stressed"])
     go.add_argument("--rows", help=f"default all that the tier has of {','.join(ROWS)}")
     go.add_argument("--cases", type=int, default=300, help="per row")
     go.add_argument("--seed", type=int, required=True)
@@ -300,7 +309,10 @@ def tell(cases: list[dict[str, Any]], *more: str) -> None:
         by.setdefault(c.get("tier", only), []).append(c)
     for tier, own in by.items():
         print(f"== {tier}: {len(own)} cases ==\n")
-        print(score.table(own), words.confusion(own), words.reliability(own), sep="\n\n", end="\n\n")
+        parts = [score.table(own), words.confusion(own), words.reliability(own)]
+        if tier == "stressed":
+            parts.insert(0, score.stressed(own))
+        print(*parts, sep="\n\n", end="\n\n")
     for text in more:
         print(text, end="\n\n")
     bad = [c for c in cases if "error" in c or "fresh_error" in c]

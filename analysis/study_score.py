@@ -71,7 +71,7 @@ def weakest(case: Case) -> float:
 def firm(case: Case) -> float:
     """`weakest`, where settings are fitted anew and take up what they can; where that is not known, to first order."""
     known = case.get("refitted", {})
-    return min((min(snr, known.get(name, snr)) for name, snr in case["snr"].items()), default=0.0)
+    return min((min(snr, known.get(name, snr)) for name, snr in case.get("snr", {}).items()), default=0.0)
 
 
 def near(case: Case) -> float:
@@ -158,6 +158,32 @@ def table(cases: Iterable[Case]) -> str:
     whole = [c for c in anew if exact(c) or holds(c)]
     lines.append(row("    of these with all that was concealed named or in a class", whole, nothing_more))
     return "\n".join([*lines, *silent(of)])
+
+
+def stressed(cases: Sequence[Case]) -> str:
+    """Of recordings with a defect that nothing explains: what is said of what is visible besides, and of the rest."""
+
+    def among(case: Case) -> bool:
+        """All that is concealed is named or in a class."""
+        spoken = {x for members in case["classes"] for m in members for x in m} | set(case["named"])
+        return set(case["truth"]["effects"]) <= spoken
+
+    def passed(case: Case) -> bool:
+        return case["verdict"] == "nothing-missing" or case["named"] == ["setting-errors"]
+
+    lines = []
+    for kind in [*dict.fromkeys(c["stress"]["stress"] for c in cases if "stress" in c), ""]:
+        mine = [c for c in cases if kind in ("", c.get("stress", {}).get("stress"))]
+        seen, clean = [c for c in mine if firm(c) >= 8], [c for c in mine if c["row"] == "clean"]
+        title = kind or "all"
+        lines += [
+            row(f"{title}: visible (8 sigma and more), named or in a class", seen, among, 0.80),
+            row(f"{title}: visible, passed over", seen, passed, 0.02, at_least=False),
+            row(f"{title}: a wrong name", mine, lone_wrong, 0.05, at_least=False),
+            row(f"{title}: clean, anything named", clean, lambda c: bool(c["named"])),
+            row(f"{title}: a rest is stated with its size", mine, lambda c: bool(c["left"])),
+        ]
+    return "\n".join(lines)
 
 
 def naming(name: str, group: Sequence[Case], bars: Sequence[tuple[float, float]]) -> list[str]:

@@ -5,14 +5,14 @@ two has moves the mean by its share times its distance. The centre μ of a profi
 
     ∫ ψ((q − μ)/σ) L(q) dq = 0,    ψ(u) = u (1 − β u²) exp(−u²/2 s²).
 
-The Gaussian forgets light beyond four widths; the cubic turns the influence over beyond 1.3, and is what brings a line's
-copy at four widths to nothing. What ``s`` and ``β`` trade: per 1 % of the light on one side a copy of a Gaussian line at
-2, 4 and 8 σ moves the centre by 7.5, −0.3 and 0 thousandths of σ, an exponential tail of those lengths by 4.4, 3.1 and
-1.9, a feature half as wide as the line by 9.3, −1.3 and 0; the mean moves by 20, 40 and 80. With s = 1 and β = 0.37 all
-of these are below 3, but the noise of a line's mean place is 1.9 times that of its mean where it is the light's own, 1.2
-with the values here; the centre of lopsided light then hangs on how lopsided it is, so that on photographs by other code
-weak tilts and comas lost a quarter of their evidence or were not found. Light at 2 σ is the line's own flank: what of it
-is missing from a model is a difference of shape, which widths show as well.
+The Gaussian forgets light beyond four widths; the cubic turns the influence over beyond 1.3, and is what brings a
+line's copy at four widths to nothing. What ``s`` and ``β`` trade: per 1 % of the light on one side a copy of a Gaussian
+line at 2, 4 and 8 σ moves the centre by 7.5, −0.3 and 0 thousandths of σ, an exponential tail of those lengths by 4.4,
+3.1 and 1.9, a feature half as wide as the line by 9.3, −1.3 and 0; the mean moves by 20, 40 and 80. With s = 1 and
+β = 0.37 all of these are below 3, but the noise of a line's mean place is 1.9 times that of its mean where it is the
+light's own, 1.2 with the values here; the centre of lopsided light then hangs on how lopsided it is, and on photographs
+by other code weak tilts and comas lost a quarter of their evidence or were not found. Light at 2 σ is the line's own
+flank: what of it is missing from a model is a difference of shape, which widths show as well.
 """
 
 from __future__ import annotations

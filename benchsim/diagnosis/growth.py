@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis import evidence, foresight, refit, screen, starts
+from benchsim.diagnosis import evidence, foresight, linear, refit, screen, starts
 from benchsim.diagnosis.attachments import with_columns
 from benchsim.diagnosis.attempt import attempt
 from benchsim.diagnosis.fits import LARGEST, Effects
@@ -53,6 +53,11 @@ HOPELESS = 4.0
 
 SCANNED = (0.1, 0.3, 0.6, 1.0, 1.6)
 """Amplitudes [prior sigma] from which the one is chosen that an exchanged effect begins with."""
+
+BEGIN, EVEN, SEEN = 0.3, 0.25, 3.0
+"""Amplitude [prior sigma] from which one that bends the data is fitted beside the best, and what its second order there
+has to be, settings marginalised: of the first, and in sigma. Of 40 amplitudes two are so, one of coma and one of
+astigmatism; each costs two fits."""
 
 BENDING = 10.0
 """Second order of an amplitude, at its size, from which on it is tried with the other sign [sigma of the data]."""
@@ -302,8 +307,9 @@ def _joined(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[
 def _grown(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[Effects, Solved]) -> Iterator[Solved]:
     """The best set and one more effect, both sought from the stated settings.
 
-    What bends the data is fitted, all together from size 0 and the stated settings: of a coma of 15 sigma beside the
-    tilt that hid it neither a column nor foresight saw enough.
+    What shows by its square beside itself (`_even`) is fitted from a size of either sign and the stated settings: of a
+    coma of 15 sigma beside the tilt that hid it neither a column nor foresight saw enough, and a descent from 0 stayed
+    in the other sign's valley.
     """
     own = best.fit.effects
     if len(own) >= LARGEST or any(catalogue.effects[e].whole for e in own):
@@ -313,13 +319,37 @@ def _grown(context: Context, catalogue: Catalogue, best: Solved, done: Mapping[E
         yield attempt(context, catalogue, effects, best, done, -np.inf, foretold.points)
     begun = []
     for e in (catalogue.effects[n] for n in news):
-        bends = not evidence.shapes(e) and any(_bends(context, e, a, a.sigma**a.power) for a in evidence.amplitudes(e))
-        if bends and not e.whole:
-            h = hypothesis_of(catalogue, tuple(n for n in catalogue.effects if n in own or n == e.name))
-            zero = {a.name: 0.0 for a in h.amplitudes}
-            point = _at(h, zero, best.fit.values, np.zeros_like(best.point.nuisance))
+        if evidence.shapes(e) or e.whole:
+            continue
+        h = hypothesis_of(catalogue, tuple(n for n in catalogue.effects if n in own or n == e.name))
+        here = {a.name: 0.0 for a in h.amplitudes} | _sizes(h, best)
+        for a, sign in product(_even(context, e), (1.0, -1.0)):
+            size = {a.name: sign * BEGIN * a.sigma}
+            point = _at(h, here | size, best.fit.values, np.zeros_like(best.point.nuisance))
             begun.append(_Begin(h, point, context.stated() or best.known, _prior(catalogue, h.names), stated=False))
     yield from each(context, _fitted, begun)
+
+
+def _even(context: Context, effect: Effect) -> list[Parameter]:
+    """Amplitudes of either sign whose second order, at `BEGIN`, settings leave visible beside the first."""
+    stated = context.stated()
+    if stated is None:
+        return []
+    nuisance, out = context.whiten(stated.columns), []
+    for a in evidence.amplitudes(effect):
+        size, fixed = BEGIN * a.sigma, dict(evidence.fixed(effect))
+        change = None if evidence.kind(a) else context.change(a, size, fixed)
+        if change is None:
+            continue
+        both = np.column_stack([size * context.columns(fixed, (a,))[:, 0], size**2 * change[1]])
+        both = context.whiten(both)
+        sigma = np.ones(nuisance.shape[1])
+        factor = linear.precision(nuisance, sigma)
+        left = linear.through(nuisance, sigma, both, factor, nuisance.T @ both, both.T @ both)
+        first, second = np.sqrt(np.diag(left))
+        if second > max(SEEN, EVEN * first):
+            out.append(a)
+    return out
 
 
 def _bent_otherwise(

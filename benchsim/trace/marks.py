@@ -213,7 +213,7 @@ def _detect(photograph: Photograph, wanted: set[int]) -> tuple[dict[int, Array],
     twice: set[int] = set()
     for enlarged in (1, 2):
         white = float(light.max())
-        last = darkest
+        last, aimed = darkest, False
         while white > last and not wanted <= found.keys():
             grey = cv2.convertScaleAbs(np.maximum(light, 0), alpha=255 / white)
             if enlarged > 1:
@@ -225,7 +225,8 @@ def _detect(photograph: Photograph, wanted: set[int]) -> tuple[dict[int, Array],
                 # Pixel centres are whole numbers: (0, 0) of the picture is (0.5, 0.5) of one enlarged twice.
                 found.setdefault(i, (np.asarray(quad, float).reshape(4, 2) + 0.5) / enlarged - 0.5)
             white /= BRACKET
-            if found and last == darkest:
+            if found and not aimed:
+                aimed = True
                 # Just below the white of the marks found: there a line of light across a mark spoils fewest cells.
                 white = _white_of(light, np.array(list(found.values())))
                 last = max(white / (1.1 * BRACKET), darkest)

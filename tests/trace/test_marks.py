@@ -185,6 +185,19 @@ def test_a_laser_line_across_marks_does_not_move_corners(one):
     assert unmeasured < 5 * 0.15 * 4 * len(marks.ids)
 
 
+def test_marks_near_the_noise_are_found_and_the_search_ends(one):
+    """Rationale: marks whose white stands seven times above the steps from pixel to pixel are as dark as the search
+    goes, and one that is nowhere keeps it searching: it began anew without end."""
+    _, _, _, marks, clean = one
+    light = 7.0 * clean / np.quantile(clean, 0.98)
+    light = light + np.random.default_rng(4).normal(0, 0.7, light.shape)
+    absent = next(i for i in range(587) if i not in marks.ids)
+    more = replace(marks, ids=(*marks.ids, absent), centres=(*marks.centres, (900.0, 900.0)),
+                   sides=(*marks.sides, marks.sides[0]))  # fmt: skip
+    seen = find_marks(photograph(light), more, one[0])
+    assert len(seen.ids) >= len(marks.ids) // 2
+
+
 def test_uneven_light_gamma_and_eight_bits(one, tmp_path):
     """Light that falls by 40 % across the picture, encoded as sRGB in 8 bits; read with and without knowing it.
 
