@@ -54,12 +54,7 @@ class Profiles(NamedTuple):
 
 
 def adaptive(
-    q: Array,
-    light: Array,
-    centre: Array | None = None,
-    iterations: int = 30,
-    blur: Array | float = 0.0,
-    width: Array | None = None,
+    q: Array, light: Array, centre: Array | None = None, iterations: int = 30, blur: Array | float = 0.0
 ) -> tuple[Array, Array]:
     """Adaptive Gaussian-weighted moments: the Gaussian that matches the profile under its own weight.
 
@@ -77,8 +72,6 @@ def adaptive(
     iterations : int
     blur : float, or array that broadcasts against q
         rms of a Gaussian into which the light of each point is spread [mm]; the sums over it are closed forms.
-    width : (m,) array, optional
-        Where to begin.
 
     Returns
     -------
@@ -90,8 +83,6 @@ def adaptive(
     spread = np.asarray(blur, float) ** 2
     # A start from the mean absolute deviation converges where the variance does not exist.
     var = (1.25 * (light * near).sum(axis=1) / total) ** 2 + (light * spread).sum(axis=1) / total
-    if width is not None:
-        var = np.square(width)
     floor = 1e-24
     d = q - mu[:, None]
     if centre is not None and np.shape(spread)[-1:] in ((), (1,)):

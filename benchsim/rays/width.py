@@ -40,7 +40,8 @@ def widths(bench: Bench, nodes: Profiles) -> Array:
 
 
 def adaptive_widths(bench: Bench, some: Profiles, which: NDArray[np.bool_] | None = None) -> Array:
-    """Adaptive width of each profile about its `centre.centre`, and how far that lies from 0, (..., profile, 2) [mm].
+    """Adaptive width of each profile about its mean, and how far its `centre.centre` lies from that, (..., profile, 2)
+    [mm].
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ def _held(q: Array, light: Array, spread: Array) -> Array:
 
 
 def placed(q: Array, light: Array, blur: Array | float = 0.0) -> tuple[Array, Array]:
-    """Adaptive widths about the `centre.centre` of profiles, and those, (profile,) each [mm].
+    """Adaptive widths of profiles about their mean, and their `centre.centre`, (profile,) each [mm].
 
     Parameters
     ----------
@@ -136,10 +137,7 @@ def placed(q: Array, light: Array, blur: Array | float = 0.0) -> tuple[Array, Ar
     blur : as of `adaptive`
     """
     _, width = adaptive(q, light, np.zeros(len(q)), blur=blur)
-    where = centre(q, light, width, np.zeros(len(q)), blur)
-    # The width about there is hardly another, and the centre hardly feels the width.
-    _, width = adaptive(q, light, where, blur=blur, width=width)
-    return width, centre(q, light, width, where, blur, steps=1)
+    return width, centre(q, light, width, np.zeros(len(q)), blur)
 
 
 def _samples(

@@ -58,8 +58,8 @@ class Shape:
     half_width : float
         [px] The flanks from ``core`` to here define zero.
     integral, centre, width, skewness : CubicSpline
-        Functions of t: integral over the core; centre [px]; adaptive rms width about it [px]; third standardised moment
-        of the core.
+        Functions of t: integral over the core; centre [px]; adaptive rms width about the mean [px]; third standardised
+        moment of the core.
     pull : (n,) array
         By how much light at the x of ``table``'s rows moves the centre, over the profile's flux [px].
     slope_response : float
@@ -207,16 +207,17 @@ def _finish(knots: Array, c: Array, span: tuple[float, float], core: float, half
     for _ in range(4):
         offset = grid[:, None] - at
         window = np.clip((core - np.abs(offset)) / step + 0.5, 0, 1)
-        width = _adaptive_width(offset, window * light)
-        at = np.clip(centre(grid[None, :], light.T, width, at), -core / 2, core / 2)
+        total = np.maximum((window * light).sum(axis=0), 1e-12)
+        at = np.clip(at + (window * light * offset).sum(axis=0) / total, -core / 2, core / 2)
     offset = grid[:, None] - at
-    total = np.maximum((window * light).sum(axis=0), 1e-12)
+    width = _adaptive_width(offset, window * light)
+    where = np.clip(centre(grid[None, :], light.T, width, at), -core / 2, core / 2)
     second = np.maximum((window * light * offset**2).sum(axis=0) / total, 1e-12)
     skew = (window * light * offset**3).sum(axis=0) / total / second**1.5
-    slope = influence((grid - at.mean()) / width.mean())[1]
+    slope = influence((grid - where.mean()) / width.mean())[1]
     gain = width.mean() / max(float((slope @ (light / total)).mean()), 1e-3)
     spline, fine = BSpline(knots, c, 3), np.arange(-half_width, half_width + _TABLE_STEP, _TABLE_STEP)
-    pull = gain * influence((fine - at.mean()) / width.mean())[0]
+    pull = gain * influence((fine - where.mean()) / width.mean())[0]
     return Shape(
         np.concatenate([spline(fine), spline(fine, 1)], axis=1),
         k - 1,
@@ -224,7 +225,7 @@ def _finish(knots: Array, c: Array, span: tuple[float, float], core: float, half
         core,
         half_width,
         CubicSpline(nodes, total * step),
-        CubicSpline(nodes, at),
+        CubicSpline(nodes, where),
         CubicSpline(nodes, width),
         CubicSpline(nodes, skew),
         pull,

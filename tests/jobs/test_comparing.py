@@ -94,7 +94,7 @@ def test_a_setting_left_out_is_rendered_to_its_noise(bowed, bowed_seen):
     done = comparing.compare(bowed, observed, old, new, rays=FEW)
     assert not done.lost and len(done.exposures) == 3
     assert 0.9 < done.pooled("after") < 1.15
-    assert done.pooled("before") > done.pooled("after") + 0.1
+    assert done.pooled("before") > done.pooled("after") + 0.05  # 1 sigma of 12,000 pixels is 0.0065
     assert done.pooled("after", core=True) < done.pooled("before", core=True)
     for x in done.exposures:
         assert x.noise_std == pytest.approx(1, abs=0.07)
