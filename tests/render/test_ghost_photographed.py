@@ -8,8 +8,9 @@ Set-up: the fourth setting of `campaign12`, which parts the two lights the farth
 way, geometric optics, no noise of the sensor, everything as stated; two thicknesses. Expectation: in the mean over the
 trace the line is read within 1.5 µm of the prediction for 1 mm of glass, and within 10 µm at the cap of 2 mm, where the
 ghost lies beside the flank of a flat line and is weighed as if the line were a Gaussian; the coating's own line is at
-least 5 µm away per mm of glass. The reading is true to 1 µm without a ghost; 2 million rays of light scatter its mean by 0.16 µm (1 sigma of six
-seeds), so that the test fails by chance less than once in a million runs, and its seed is fixed.
+least 5 µm away per mm of glass. The reading is true to 1 µm without a ghost; 2 million rays of light scatter its mean
+by 0.16 µm (1 sigma of six seeds), so that the test fails by chance less than once in a million runs, and its seed is
+fixed.
 """
 
 from dataclasses import replace
