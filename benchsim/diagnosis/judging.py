@@ -121,6 +121,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
             on, lone, opened = _written(problem, naming, best, findings, many, notes)
         else:
             findings, on, lone, opened = _forward(problem, naming, best, findings, notes)
+        opened = (*opened, *_besides(best, lone, opened))
         if said in ("named", "class"):
             said = "class" if opened else "named"
     elif said == "nothing-missing":
@@ -240,6 +241,16 @@ def _removed(best: Best) -> float:
     return float(size @ best.space.gram[np.ix_(own, own)] @ size)
 
 
+def _besides(
+    best: Best, lone: tuple[str, ...], opened: tuple[tuple[Effects, ...], ...]
+) -> tuple[tuple[Effects, ...], ...]:
+    """Whether one more effect is there than what is stated, where that is more likely than not, but not `LIKELY`."""
+    spoken = {*lone, settings.NAME} | {e for members in opened for m in members for e in m}
+    others = {e: best.hypotheses.probability([(e,)]) for e in best.space.index if e not in spoken}
+    more = max(others, key=lambda e: others[e], default="")
+    return (((), (more,)),) if more and others[more] >= verdict.SUSPECTED else ()
+
+
 def _doubted(problem: Problem, naming: Naming, hypotheses: Weighed) -> tuple[tuple[Effects, ...], ...]:
     """Alternatives to nothing, where nothing is best but may not be said: settings, or an effect that is suspected."""
     suspects: list[Effects] = []
@@ -273,8 +284,9 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
             # What was never refitted supports no claim: the larger set keeps its place.
             claim = classes.claim(hypotheses, effects, signal, within)
             return Best(fit, effects, claim, hypotheses, linear, within, signal)
-        dropped = [e for e in effects if e not in kept]
-        if kept:
+        # What is more likely than not is said of what is open (`_besides`).
+        dropped = [e for e in effects if e not in kept and hypotheses.probability([(e,)]) < verdict.SUSPECTED]
+        if kept and dropped:
             notes.append(f"{' and '.join(dropped)}: hinted at, not likely enough to be said.")
         effects = kept
     return null

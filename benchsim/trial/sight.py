@@ -269,7 +269,8 @@ def _distance(
     start = Point(
         np.zeros(len(problem.nuisances)),
         np.array([fit_value(p, begin[p.name]) for p in h.amplitudes]),
-        np.array([begin[p.name] for p in h.shapes]),
+        # A rival's amplitude of 0 has no shape, and a period of 0 no light.
+        np.array([np.clip(begin[p.name], min(p.grid), max(p.grid)) for p in h.shapes]),
     )
     solved = refit.fit(context, h, [start], Known(bends.first, np.zeros(len(problem.nuisances))))
     ends = {p.name: fit_value(p, solved.fit.values[p.name]) for p in h.amplitudes}
