@@ -138,7 +138,7 @@ def _open(
         # All members are stated as open: what splits them is sought whichever of them it is.
         even = [replace(a, probability=1 / len(alive)) for a in alive]
         ranked = following.rank(problem, best.linear, _scale(best), best.space, even, further)
-        made.append(Class(members, _together(best, members), ranked[0] if ranked else None))
+        made.append(Class(members, _together(best, members, rest), ranked[0] if ranked else None))
     if unnamed:
         top = sorted((h for h in best.hypotheses.log_evidence.items() if h[0]), key=lambda h: -h[1])[: classes.MEMBERS]
         everyone = _alive(best, [h for h, _ in top])
@@ -148,12 +148,12 @@ def _open(
     return tuple(made), following.rank(problem, best.linear, _scale(best), best.space, everyone, further)
 
 
-def _together(best: Best, members: Sequence[Effects]) -> float:
-    """That one of the members is there; with nothing among them, that none beside them is."""
+def _together(best: Best, members: Sequence[Effects], rest: Effects) -> float:
+    """That one of the members is there; with nothing among them, that none is but it and the ``rest``."""
     if () not in members:
         return best.hypotheses.probability(members)
     z = best.hypotheses.log_evidence
-    listed = [z[h] for h in z if set(h) in [set(m) for m in members]]
+    listed = [z[h] for h in z if set(h) in [{*m, *rest} for m in members]]
     return float(np.exp(logsumexp(listed) - logsumexp(list(z.values())))) if listed else 0.0
 
 

@@ -248,7 +248,7 @@ def _besides(
     spoken = {*lone, settings.NAME} | {e for members in opened for m in members for e in m}
     others = {e: best.hypotheses.probability([(e,)]) for e in best.space.index if e not in spoken}
     more = max(others, key=lambda e: others[e], default="")
-    return (((), (more,)),) if more and others[more] >= verdict.SUSPECTED else ()
+    return (((more,), ()),) if more and others[more] >= verdict.SUSPECTED else ()
 
 
 def _doubted(problem: Problem, naming: Naming, hypotheses: Weighed) -> tuple[tuple[Effects, ...], ...]:
