@@ -336,6 +336,8 @@ def _even(context: Context, effect: Effect) -> list[Parameter]:
     if stated is None:
         return []
     nuisance, out = context.whiten(stated.columns), []
+    sigma = np.ones(nuisance.shape[1])
+    factor = linear.precision(nuisance, sigma)
     for a in evidence.amplitudes(effect):
         size, fixed = BEGIN * a.sigma, dict(evidence.fixed(effect))
         change = None if evidence.kind(a) else context.change(a, size, fixed)
@@ -343,8 +345,6 @@ def _even(context: Context, effect: Effect) -> list[Parameter]:
             continue
         both = np.column_stack([size * context.columns(fixed, (a,))[:, 0], size**2 * change[1]])
         both = context.whiten(both)
-        sigma = np.ones(nuisance.shape[1])
-        factor = linear.precision(nuisance, sigma)
         left = linear.through(nuisance, sigma, both, factor, nuisance.T @ both, both.T @ both)
         first, second = np.sqrt(np.diag(left))
         if second > max(SEEN, EVEN * first):
