@@ -11,7 +11,6 @@ from scipy.special import logsumexp
 
 from benchsim.diagnosis import attachments, classes, following, held_out, laws, limits
 from benchsim.diagnosis.attachments import Attached
-from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.fits import Effects, Fit, Naming
 from benchsim.diagnosis.following import Alive
 from benchsim.diagnosis.judging import Best, Judged, judge, winner
@@ -28,7 +27,7 @@ LOUD = 1.3
 """Errors over stated ones from which on a remark is due."""
 
 
-def diagnose(problem: Problem, progress: Progress | None = None, *, bends: Curvature | None = None) -> Diagnosis:
+def diagnose(problem: Problem, progress: Progress | None = None) -> Diagnosis:
     """Say whether anything is missing from the prediction, where, what, how large, and what would settle the rest.
 
     Parameters
@@ -36,8 +35,6 @@ def diagnose(problem: Problem, progress: Progress | None = None, *, bends: Curva
     problem : Problem
     progress : callable, optional
         Called with what is being done and the fraction done.
-    bends : Curvature, optional
-        `curvature.measure` of this prediction, where several data sets share it; default measured here.
 
     Returns
     -------
@@ -49,7 +46,7 @@ def diagnose(problem: Problem, progress: Progress | None = None, *, bends: Curva
         If the data are not blocks with finite numbers, or the prediction is not finite as stated.
     """
     tell = progress or (lambda what, done: None)
-    return conclude(problem, name(problem, lambda what, done: tell(what, 0.6 * done), bends=bends), tell)
+    return conclude(problem, name(problem, lambda what, done: tell(what, 0.6 * done)), tell)
 
 
 def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import TypeVar
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
-from benchsim.diagnosis import curvature, evidence, linear
-from benchsim.diagnosis.curvature import Curvature
+from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import Effects, Fit
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
 Array = NDArray[np.float64]
-Change = tuple[Array, Array] | None
-T = TypeVar("T")
-R = TypeVar("R")
-Mixed = dict[tuple[str, tuple[tuple[str, float], ...]], tuple[Array, Array]]
-
+Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Whitener:
@@ -52,26 +44,26 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Known:
-    """Derivatives by the nuisances per prior sigma (n, p), not whitened, and where they hold.
-
-    ``amplitude`` holds the amplitudes there that are not 0, in fit space.
-    """
-
-    columns: Array
-    nuisance: Array
-    amplitude: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Solved:
-    """A fit and what its neighbours can use: the point, its derivatives, its exact residual (none whitened)."""
+    """A fit, where it ended, and what its neighbours can use of it.
+
+    Attributes
+    ----------
+    fit : Fit
+    point : Point
+    columns : (n, k)
+        Derivatives of the prediction by nuisances per prior sigma, amplitudes in fit space, and shapes; whitened.
+    residual : (n,)
+        Data less prediction, whitened.
+    exact : bool
+        Whether the columns were differentiated there.
+    """
 
     fit: Fit
     point: Point
-    known: Known
-    own: Array
+    columns: Array
     residual: Array
+    exact: bool
 
 
 @dataclass
@@ -89,101 +81,20 @@ class Context:
     whiten: Whitener
     scales: Array
     weights: Array
-    curvature: Curvature | None = None
-    mixed: Mixed = field(default_factory=dict)
-    bent: list[Array] = field(default_factory=list)
     count: Count = field(default_factory=Count)
 
-    def columns(self, at: Mapping[str, float], parameters: Sequence[Parameter]) -> Array:
-        """`linear.columns`, shapes stepped by 2 % of their range, predictions counted."""
-        return self.columns_each([at], parameters)[0]
-
-    def columns_each(self, points: Sequence[Mapping[str, float]], parameters: Sequence[Parameter]) -> list[Array]:
-        """`columns` at several points, predicted together."""
+    def columns(self, points: Sequence[tuple[Values, Sequence[Parameter]]]) -> list[Array]:
+        """`linear.columns_at`, shapes stepped by 2 % of their range, predictions counted."""
         blocks = len(self.problem.names)
-        needed = sum(2 * (blocks if p.blocks is None else len(p.blocks)) for p in parameters)
-        self.count.predictions += needed * len(points)
-        steps = {p.name: 0.02 * span(p) for p in parameters if p.grid}
-        return linear.columns_at(self.problem, [(at, tuple(parameters)) for at in points], steps)
+        for _, parameters in points:
+            self.count.predictions += sum(2 * (blocks if p.blocks is None else len(p.blocks)) for p in parameters)
+        steps = {p.name: 0.02 * span(p) for _, parameters in points for p in parameters if p.grid}
+        return linear.columns_at(self.problem, points, steps)
 
-    def nuisance_columns(self, at: Mapping[str, float]) -> Array:
-        """`columns` of all nuisances, per prior sigma."""
-        nuisances = self.problem.nuisances
-        return self.columns(at, nuisances) * np.array([n.sigma for n in nuisances])
-
-    def stated(self) -> Known | None:
-        """Nuisances' columns about the stated settings, where they were measured."""
-        return None if self.curvature is None else Known(self.curvature.first, np.zeros(len(self.problem.nuisances)))
-
-    def predict(self, at: Mapping[str, float]) -> Array:
-        """`linear.predict_all`, counted."""
-        return self.predict_each([at])[0]
-
-    def predict_each(self, points: Sequence[Mapping[str, float]]) -> list[Array]:
-        """`predict` at several points, together."""
+    def predict(self, points: Sequence[Values]) -> list[Array]:
+        """`linear.predict_each`, counted."""
         self.count.predictions += len(self.problem.names) * len(points)
         return linear.predict_each(self.problem, points)
-
-    def bending_at(self, at: Mapping[str, float], effects: Sequence[Effect]) -> Context:
-        """The same for one hypothesis, with second derivatives measured about a point of it.
-
-        Effects with shapes keep what was measured about the stated settings, and so do those that are there as a whole.
-        """
-        if self.curvature is None:
-            return self
-        own = {
-            a.name: (a, tuple(sorted(evidence.fixed(e).items())))
-            for e in effects
-            if not e.whole and not evidence.shapes(e)
-            for a in evidence.amplitudes(e)
-        }
-        found, changes, count = curvature.again(self.problem, self.curvature, at, [a for a, _ in own.values()])
-        self.count.predictions += count
-        mixed = self.mixed | {(name, own[name][1]): change for name, change in changes.items()}
-        return replace(self, curvature=found, bent=[], mixed=mixed)
-
-    def second(self) -> tuple[Array, ...]:
-        """The curvature's second derivatives, whitened, per block."""
-        if not self.bent and self.curvature is not None:
-            for low, bend in zip(self.whiten.lower, self.curvature.second, strict=True):
-                n, m = bend.shape[:2]
-                flat = bend.reshape(n, m * m)
-                white = solve_triangular(low, flat, lower=True, check_finite=False) if m else flat
-                self.bent.append(white.reshape(n, m, m))
-        return tuple(self.bent)
-
-    def change(self, parameter: Parameter, amplitude: float, others: Mapping[str, float]) -> Change:
-        """M (n, p) of an amplitude and its bend (n,), measured once; None where it is too small to matter."""
-        if self.curvature is None or abs(amplitude) < 0.02 * parameter.sigma**parameter.power:
-            return None
-        key = (parameter.name, tuple(sorted(others.items())))
-        if key not in self.mixed:
-            found, bend, count = curvature.mixed(self.problem, self.curvature, parameter, amplitude, others)
-            self.count.predictions += count
-            self.mixed[key] = curvature.spread_out(self.problem, self.curvature, found), bend
-        return self.mixed[key]
-
-
-def each(context: Context, call: Callable[[Context, T], R], items: Sequence[T]) -> list[R]:
-    """``call(context, item)`` of each, through `Problem.spread`; what is measured for them is kept in the context.
-
-    None sees what another measured: the same comes of it on any number of processes.
-    """
-    # A pool cannot be sent to another process, nor perhaps ``further``; attachments are large.
-    sent = replace(context, problem=replace(context.problem, spread=map, further=None, attachments=()))
-    out: list[R] = []
-    for found, mixed, predictions in context.problem.spread(partial(_apart, sent, call), items):
-        out.append(found)
-        context.mixed.update(mixed)
-        context.count.predictions += predictions
-    return out
-
-
-def _apart(context: Context, call: Callable[[Context, T], R], item: T) -> tuple[R, Mixed, int]:
-    """A call, what was measured for it, and the predictions that it took."""
-    own = replace(context, mixed=dict(context.mixed), count=Count())
-    found = call(own, item)
-    return found, {k: change for k, change in own.mixed.items() if k not in context.mixed}, own.count.predictions
 
 
 def span(p: Parameter) -> float:

@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 PRESENCE = 0.02
 """Prior probability of each effect to be present."""
 
+BENT = 0.5
+"""Prior sigmas to either side at which the bend of the data by an amplitude is read: it is to say where fits begin."""
+
 
 @dataclass(frozen=True)
 class Node:
@@ -46,11 +49,15 @@ class Catalogue:
     nodes : mapping of str to tuple of Node
     columns : (n, K)
         Derivative of the prediction by value**power.
+    bends : (n, K)
+        Second derivative, as a step to either side shows it that is large enough to matter (`BENT`); 0 where there is
+        but one side.
     """
 
     effects: Mapping[str, Effect]
     nodes: Mapping[str, tuple[Node, ...]]
     columns: Array
+    bends: Array
 
 
 def _grid_weights(values: tuple[float, ...]) -> Array:
@@ -90,7 +97,22 @@ def expand(problem: Problem, at: Values) -> Catalogue:
         nodes[effect.name] = tuple(found)
     points = [(at, tuple(plain)), *(({**at, **values}, own) for values, own in later)]
     parts = linear.columns_at(problem, points)
-    return Catalogue({e.name: e for e in problem.catalogue}, nodes, np.column_stack(parts))
+    bends = _bends(problem, points)
+    return Catalogue({e.name: e for e in problem.catalogue}, nodes, np.column_stack(parts), bends)
+
+
+def _bends(problem: Problem, points: Sequence[tuple[Values, Sequence[Parameter]]]) -> Array:
+    """Second derivatives by amplitudes, each at its own point."""
+    asked: list[tuple[Values, Parameter]] = [(at, p) for at, own in points for p in own]
+    two = [(at, p) for at, p in asked if not evidence.kind(p)]
+    sided = [{**at, p.name: at.get(p.name, 0.0) + sign * BENT * p.sigma} for at, p in two for sign in (-1, 1)]
+    found = iter(linear.predict_each(problem, [*(at for at, _ in points), *sided]))
+    middle = {id(at): next(found) for at, _ in points}
+    out = np.zeros((len(problem.data), len(asked)))
+    for k, (at, p) in enumerate(asked):
+        if not evidence.kind(p):
+            out[:, k] = (next(found) + next(found) - 2 * middle[id(at)]) / (BENT * p.sigma) ** 2
+    return np.where(np.isfinite(out), out, 0.0)
 
 
 def singles_and_pairs(names: Sequence[str]) -> list[Effects]:

@@ -1,309 +1,423 @@
-"""Which hypotheses are refitted, and about whose fit the others are weighed.
+"""Which hypotheses are fitted: the null, every single effect, and what grows from the best of them.
 
-All singles and pairs are screened about the null's fit; the most probable are refitted until no hypothesis that was
-only screened could still matter. What has one effect more or less than a refitted hypothesis is weighed again about
-*its* point: once a strong effect is fitted, the second is no longer hidden behind the curvature of the first. Larger
-sets grow that way from the best refitted pairs.
+    null → all singles → add, drop, exchange about the best until nothing gains → derivatives of what matters made exact
+
+A fit ends in the valley that it starts in. So every set is fitted from several starts: from a fit with one effect less,
+with that effect's amplitude wherever the linearisation about that fit, bent by the amplitude's own second derivative,
+has a minimum; from the effect's own single fit; and from the stated settings, since those of a smaller fit may have been
+bent to hide what it lacks. What was not fitted is weighed by linear algebra about the best fit that differs by one
+effect.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 
-from benchsim.diagnosis import classes, evidence, foresight, growth, refit, screen, starts
-from benchsim.diagnosis.attempt import BORNE_OUT, attempt
-from benchsim.diagnosis.fits import Effects
+from benchsim.diagnosis import classes, evidence, linear, screen
+from benchsim.diagnosis.attachments import absorb
+from benchsim.diagnosis.evidence import Term
+from benchsim.diagnosis.fits import LARGEST, Effects
+from benchsim.diagnosis.fitting import Start, fitted, misses
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved
+from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.screen import Catalogue
-from benchsim.diagnosis.weighing import Table, hypothesis_of, log_z_about, weigh_again, whole
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-FEWEST, MOST = 4, 10
-"""Refits, the null included."""
-
-MORE = 4
-"""Refits beyond the most while what was weighed highest, about a good fit, was not refitted: nothing may be claimed of
-it before."""
-
 MATTERS = 6.0
-"""ln Z behind the best at which a hypothesis that was only screened is left at that."""
+"""ln Z behind the best at which what was only weighed is left at that. Refits of it have ended up to 7 higher."""
 
-IDLE = 1.5
-"""The same for what was weighed about a good fit of fewer effects: that linearisation is the right one unless what is
-added is large, and then it is not behind."""
+AT_ONCE, ROUNDS = 8, 8
+"""Sets fitted together, and how often, at most: what is tried at all."""
 
-LONE = 7
-"""Refits, the null included, in which single effects are tried first where the null misses the data."""
+NEARBY, RIVALS = 6.0, 3
+"""Separation in sigma up to which sets with one effect exchanged for another are fitted beside the best, and how many:
+where the data bend, the right one of two that look alike may have been weighed wrong."""
 
-RIVALS, NEARBY = 3, 6.0
-"""Most sets with one effect exchanged that are refitted after the best, and the separation in sigma up to which: where
-the null misses the data or a refit found more than was foretold, the right one of two that look alike may have been
-weighed wrong and never tried."""
+VALLEYS = 2
+"""Minima of an amplitude's own curve from which a fit begins."""
 
-TURNS, ANEW = 3, 2
-"""Times that the best fit is held against its neighbours (`growth`), each time that another came of it, and refits of
-what is then more probable."""
+AMPLITUDES = np.linspace(-2.5, 2.5, 21)
+"""Prior sigmas at which that curve is looked at."""
 
-LOOKS, FORESEEN = 12, 9.0
-"""Hypotheses weighed about a bent null that are looked at by foresight before a refit is spent on them; and
-`MATTERS` for what was: refits have ended up to 7 better or 3 worse."""
+EXACT = 10.0
+"""ln Z behind the best within which derivatives are made exact."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an effect might begin beside a fit: its amplitudes and shapes, and the gain in ln Z foretold."""
+
+    gain: float
+    amplitude: Array
+    shape: Array
 
 
 @dataclass
-class _Walk:
-    """A search on its way: what is weighed, what is fitted, and how it went."""
+class Search:
+    """A search on its way.
+
+    Attributes
+    ----------
+    log_z, source
+        ln Z of every set that was weighed or fitted, and the fit about which.
+    done
+        Best fit of each set.
+    """
 
     context: Context
     catalogue: Catalogue
-    white: Array
-    table: Table
+    log_z: dict[Effects, float]
+    source: dict[Effects, Effects]
     done: dict[Effects, Solved]
-    null: Solved
-    bent: bool
-    foretold: bool
-    """Whether no refit found more than its linearisation said."""
-    first: Catalogue
-    """As it was differentiated about the null."""
-    tried: int = 1
-    looks: int = 0
+    stated: Solved
+    earlier: Mapping[Effects, Point] = field(default_factory=dict)
+    places: dict[tuple[int, Effects], dict[str, list[Place]]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.names = tuple(self.catalogue.effects)
+        self.white = self.context.whiten(self.catalogue.columns)
+        self.bends = self.context.whiten(self.catalogue.bends)
+
+    def prior(self, effects: Effects) -> float:
+        return screen.log_prior(effects, list(self.names))
+
+    def hypothesis(self, effects: Effects) -> Hypothesis:
+        return Hypothesis(tuple(self.catalogue.effects[e] for e in effects))
+
+    def ordered(self, effects: Sequence[str]) -> Effects:
+        return tuple(n for n in self.names if n in effects)
+
+    def best(self) -> Solved:
+        """The most probable fit that may be built on."""
+        some = [s for s in self.done.values() if s.fit.converged] or list(self.done.values())
+        return max(some, key=lambda s: s.fit.log_evidence)
 
 
 def search(
     context: Context,
     catalogue: Catalogue,
     null: Solved,
-    refits: int,
+    stated: Solved,
     tell: Progress,
     earlier: Mapping[Effects, Point],
-) -> tuple[Table, dict[Effects, Solved]]:
-    """Screen, refit, weigh again what contains the refitted, until nothing unfitted matters.
+) -> Search:
+    """Fit whatever could matter.
 
-    ``earlier`` holds where fits ended when the same data were searched with noise that was estimated worse. The null
-    that comes back among the fits may be a better one than ``null``.
+    Parameters
+    ----------
+    context : Context
+    catalogue : Catalogue
+    null : Solved
+    stated : Solved
+        The null at the stated settings, not fitted.
+    tell : callable
+    earlier : mapping
+        Where fits ended when the same data were searched with noise that was estimated worse: they begin there.
     """
-    white = context.whiten(catalogue.columns)
-    log_z = screen.screen(null.fit.linear, catalogue, white, context.scales, context.weights)
-    strayed, bent = refit.strayed(context, null), refit.bent(null)
-    if strayed:
-        _screen_from_afar(context, catalogue, white, log_z)
-    log_z[()] = null.fit.log_evidence
-    table = Table(log_z, dict.fromkeys(log_z, ()))
-    if bent:
-        _foresee_all(context, catalogue, table)
-    else:
-        _foresee_one_sided(context, catalogue, table)
-    table.begin.update({e: (point,) for e, point in earlier.items() if e in table.begin})
-    walk = _Walk(context, catalogue, white, table, {(): null}, null, bent, not strayed, catalogue)
-    _explore(walk, refits, tell)
-    again = bent and not refit.misses(context, null)
-    if again:
-        _null_again(context, walk.catalogue, table, walk.done)
-    if not walk.foretold:
-        grown: set[Effects] = set()
-        for _ in range(TURNS):
-            before = growth.leader(context, walk.done)
-            growth.settle(context, walk.catalogue, walk.white, table, walk.done, grown)
-            if not growth.better(growth.leader(context, walk.done), before):
-                break
-            _explore(walk, walk.tried + ANEW, tell)
-        _challenge(walk)
-        if again:
-            _null_again(context, walk.catalogue, table, walk.done)
-    _recant(walk)
-    return table, walk.done
-
-
-def _explore(walk: _Walk, refits: int, tell: Progress) -> None:
-    """Refit what is most probable of what was only weighed, until nothing of it matters or ``refits`` are spent."""
-    context, table, done, null = walk.context, walk.table, walk.done, walk.null
-    while walk.tried < refits + MORE:
-        best = _best(done)
-        left = [e for e in table.log_z if e not in done]
-        if walk.tried >= FEWEST:
-            left = [e for e in left if table.log_z[e] >= best - _margin(table, done, e)]
-        lost = all(refit.strayed(context, s) or not s.fit.converged for s in done.values())
-        if walk.tried <= LONE and lost:
-            # Nothing fits yet: two effects at once would be sought from a point that is no place to start from.
-            left = [e for e in left if len(e) == 1] or left
-        if walk.looks >= LOOKS and not (lost and refit.misses(context, null)):
-            # The most probable of what was weighed about the bent null proved to be less: so is the rest.
-            for e in [e for e in left if not table.source[e] and e not in table.begin]:
-                del table.log_z[e], table.source[e]
-            left = [e for e in left if e in table.log_z]
-        if not left:
+    s = Search(context, catalogue, {(): null.fit.log_evidence}, {(): ()}, {(): null}, stated, earlier)
+    first = [(n,) for n in s.names] + _wholes(s)
+    tell("fitting single effects", 0.4)
+    _fit(s, first)
+    for turn in range(ROUNDS):
+        chosen = _next(s)
+        if not chosen:
             break
-        pick = max(left, key=lambda e: table.log_z[e])
-        if walk.tried >= refits:
-            about = done[table.source[pick]]
-            if table.log_z[pick] <= best or refit.misses(context, about):
-                break
-        if walk.tried == 1 and refit.misses(context, null):
-            pick = starts.together(context) or pick
-        if walk.tried == LONE and lost:
-            pick = _top_two(table, done) or pick
-        source = done[table.source.get(pick, ())]
-        if walk.bent and walk.looks < LOOKS and source is null and pick not in table.begin:
-            walk.looks += 1
-            _foresee(context, walk.catalogue, [pick], table)
-            continue
-        tell(f"refitting {' + '.join(pick)}", 0.4 + 0.55 * min(walk.tried / refits, 1.0))
-        walk.tried += 1
-        expected = table.log_z.get(pick, -np.inf)
-        solved = attempt(context, walk.catalogue, pick, source, done, expected, table.begin.get(pick, ()))
-        done[pick] = solved
-        walk.foretold &= solved.fit.log_evidence < expected + BORNE_OUT
-        table.log_z[pick], table.source[pick] = solved.fit.log_evidence, source.fit.effects
-        # A fit that came near says what it could do without, though nothing rests on it while it has not converged.
-        if solved.fit.converged or not refit.misses(context, solved):
-            if refit.strayed(context, null) and solved.fit.log_evidence == max(
-                s.fit.log_evidence for s in done.values()
-            ):
-                # What a large effect brings with it (diffraction needs a beam) is not seen about a null without it, nor
-                # what settings hide about a null that they were bent for.
-                walk.catalogue = screen.expand(context.problem, solved.fit.values)
-                walk.white = context.whiten(walk.catalogue.columns)
-            weigh_again(context, walk.catalogue, walk.white, solved, table, done)
+        tell(f"fitting {' + '.join(chosen[0])}", 0.5 + 0.4 * turn / ROUNDS)
+        _fit(s, chosen)
+    tell("making derivatives exact", 0.9)
+    _settle(s)
+    return s
 
 
-def _null_again(context: Context, catalogue: Catalogue, table: Table, done: dict[Effects, Solved]) -> None:
-    """Refit the null from the settings beside which the best effect was fitted, and keep the better.
-
-    Settings that are off by several sigma have more than one valley: an effect that only led to a deeper one must not
-    be named for it.
-    """
-    best = max((s for s in done.values() if s.fit.converged), key=lambda s: s.fit.log_evidence, default=done[()])
-    if not best.fit.effects:
-        return
-    h, nuisance = Hypothesis(()), best.point.nuisance
-    point, known = Point(nuisance, np.zeros(0), np.zeros(0)), refit.exact(context, h, nuisance)
-    prior = screen.log_prior((), list(catalogue.effects))
-    again = refit.fit(context, h, [point], known, np.zeros((len(context.problem.data), 0)), prior)
-    was = done[()].fit
-    if again.fit.converged and not (was.converged and was.log_evidence >= again.fit.log_evidence):
-        done[()] = again
-        table.log_z[()] = again.fit.log_evidence
+def _wholes(s: Search) -> list[Effects]:
+    """Sets of effects that are there as a whole or not: one may show only beside another."""
+    whole = [n for n in s.names if s.catalogue.effects[n].whole]
+    return [s.ordered(c) for k in range(2, min(len(whole), LARGEST) + 1) for c in combinations(whole, k)]
 
 
-def _top_two(table: Table, done: Mapping[Effects, Solved]) -> Effects | None:
-    """The pair of those two effects that alone came nearest the data: about a null that is far off, one hides the other
-    and their pair may have been weighed as low as any."""
-    lone = sorted((e for e in done if len(e) == 1), key=lambda e: -done[e].fit.log_evidence)[:2]
-    both = {n for e in lone for n in e}
-    return next((e for e in table.log_z if len(both) == 2 and set(e) == both and e not in done), None)
+def _next(s: Search) -> list[Effects]:
+    """What to fit next: what was weighed near the best, what the best could do without, and what looks like it."""
+    best = s.best()
+    own, top = best.fit.effects, best.fit.log_evidence
+    drops = [tuple(n for n in own if n != out) for out in own]
+    wanted = [e for e in (*drops, *_rivals(s, best)) if e not in s.done]
+    weighed = sorted((e for e in s.log_z if e not in s.done and s.log_z[e] > top - MATTERS), key=lambda e: -s.log_z[e])
+    return [*wanted, *(e for e in weighed if e not in wanted)][:AT_ONCE]
 
 
-def _challenge(walk: _Walk) -> None:
-    """Refit what is close to the best fit and has one effect exchanged, if it never was."""
-    context, catalogue, table, done, null = walk.context, walk.catalogue, walk.table, walk.done, walk.null
-    best = max((s for s in done.values() if s.fit.converged), key=lambda s: s.fit.log_evidence, default=null)
-    own, names = best.fit.effects, list(catalogue.effects)
-    if not own or refit.misses(context, best):
-        return
+def _rivals(s: Search, best: Solved) -> list[Effects]:
+    """Sets with one effect exchanged that could stand in for what the best has of it."""
+    own = best.fit.effects
+    if not own or misses(best):
+        return []
+    about = whole(s.context, s.catalogue, best)
+    within = classes.space(s.context.problem, classes.about(about, best.fit), best.fit.setting_scale)
+    signal = classes.amplitude_vector(s.context.problem, about.names, best.fit)
     near: dict[Effects, float] = {}
-    # What an effect does beside another is not what it does in its place: of facets that are tilted one by one a wobble
-    # only changes the tilts. So columns count that were taken about the null, too.
-    for columns in (walk.first, catalogue):
-        about_null = whole(context, columns, null)
-        within = classes.space(context.problem, classes.about(about_null, best.fit), best.fit.setting_scale)
-        signal = classes.amplitude_vector(context.problem, about_null.names, best.fit)
-        for out in own:
-            for new in (n for n in names if n not in own):
-                effects = tuple(n for n in names if n == new or (n in own and n != out))
-                if effects not in done:
-                    distance = classes.separation(within, signal, effects)
-                    near[effects] = min(distance, near.get(effects, np.inf))
-    for effects in sorted((e for e in near if near[e] < NEARBY), key=lambda e: near[e])[:RIVALS]:
-        smaller = [s for e, s in done.items() if set(e) < set(effects) and s.fit.converged]
-        source = max(smaller, key=lambda s: s.fit.log_evidence, default=null)
-        expected = log_z_about(context, catalogue, walk.white, source, [effects])[effects]
-        solved = attempt(context, catalogue, effects, source, done, expected, table.begin.get(effects, ()))
-        done[effects] = solved
-        table.log_z[effects], table.source[effects] = solved.fit.log_evidence, source.fit.effects
+    for out in own:
+        for new in (n for n in s.names if n not in own):
+            effects = s.ordered([*(n for n in own if n != out), new])
+            near[effects] = classes.separation(within, signal, effects)
+    close = sorted((e for e in near if near[e] < NEARBY), key=lambda e: near[e])
+    return close[:RIVALS]
 
 
-def _recant(walk: _Walk) -> None:
-    """Weigh again, about the best fit, what was weighed about one that misses the data and was never refitted.
-
-    Far from the data a linearisation promises anything: beside a fit to within the noise such a promise, hundreds
-    above it, would keep a name from being said.
-    """
-    context, table, done = walk.context, walk.table, walk.done
-    best = max((s for s in done.values() if s.fit.converged), key=lambda s: s.fit.log_evidence, default=walk.null)
-    if not best.fit.effects or refit.misses(context, best):
-        return
-    lost = {e for e, s in done.items() if refit.misses(context, s)}
-    near = best.fit.log_evidence - MATTERS
-    stale = [e for e, z in table.log_z.items() if e not in done and z > near and table.source[e] in lost]
-    for effects, z in log_z_about(context, walk.catalogue, walk.white, best, stale).items():
-        if z < table.log_z[effects]:
-            table.log_z[effects], table.source[effects] = z, best.fit.effects
+def _fit(s: Search, sets: Sequence[Effects], renewals: int = 1) -> None:
+    """Fit sets from all their starts together, keep the best end of each, and weigh what is next to them."""
+    starts = [start for effects in sets for start in _starts(s, effects)]
+    ends = fitted(s.context, starts, {e: s.prior(e) for e in sets}, renewals=renewals)
+    found: dict[Effects, list[Solved]] = {}
+    for end in ends:
+        found.setdefault(end.fit.effects, []).append(end)
+    for effects, many in found.items():
+        end = max(many, key=lambda x: (x.fit.converged, x.fit.log_evidence))
+        s.done[effects] = _faint(s, end)
+        s.log_z[effects], s.source[effects] = s.done[effects].fit.log_evidence, effects
+    for effects in found:
+        _weigh_about(s, s.done[effects])
 
 
-def _screen_from_afar(context: Context, catalogue: Catalogue, white: Array, log_z: dict[Effects, float]) -> None:
-    """Weigh about the stated settings too, with noise `starts.AFAR` times larger.
-
-    Where the null misses the data its settings are bent to where no linearisation holds. About the stated ones the
-    errors of linearisation are some sigma, which such noise covers: what stands out of it is found however far the null
-    went. A hypothesis keeps the better of its two weights; if that is too good its refit will show it.
-    """
-    if context.curvature is None:
-        return
-    residual = context.problem.data - np.concatenate(context.curvature.plain)
-    lin = starts.from_afar(context, context.curvature, residual[:, None])
-    far = screen.screen(lin, catalogue, white / starts.AFAR, context.scales, context.weights)
-    for effects, z in far.items():
-        log_z[effects] = max(log_z[effects], log_z[()] + z - far[()])
-
-
-def _foresee(context: Context, catalogue: Catalogue, some: Sequence[Effects], table: Table) -> None:
-    """Weigh by foresight, where it can say, in place of what a strayed fit's linearisation said."""
-    foretold = foresight.foretell_all(context, [hypothesis_of(catalogue, effects) for effects in some])
-    for effects, found in zip(some, foretold, strict=True):
-        table.begin[effects] = () if found is None else found.points
-        if found is not None:
-            table.log_z[effects] = found.log_evidence + screen.log_prior(effects, list(catalogue.effects))
-
-
-def _foresee_all(context: Context, catalogue: Catalogue, table: Table) -> None:
-    """Single effects by foresight; by as much as one of them falls, pairs that it is in were weighed too high."""
-    screened = dict(table.log_z)
-    _foresee(context, catalogue, [(name,) for name in catalogue.effects], table)
-    fall = {name: min(0.0, table.log_z[(name,)] - screened[(name,)]) for name in catalogue.effects}
-    for effects in screened:
+def _starts(s: Search, effects: Effects) -> list[Start]:
+    """Where the fit of a set begins."""
+    h = s.hypothesis(effects)
+    if effects in s.earlier:
+        return [Start(h, s.earlier[effects], _nearest(s, effects))]
+    out: list[Start] = []
+    p = len(s.context.problem.nuisances)
+    if sum(s.catalogue.effects[e].whole for e in effects) > 1:
+        ones = {e: Place(0.0, np.ones(len(evidence.amplitudes(s.catalogue.effects[e]))), np.zeros(0)) for e in effects}
+        out.append(Start(h, _point(s, h, np.zeros(p), ones), s.stated.columns[:, :p]))
+    parents = [tuple(n for n in effects if n != new) for new in effects]
+    parents = sorted((e for e in parents if e in s.done), key=lambda e: -s.done[e].fit.log_evidence)[:2]
+    sources = [s.done[e] for e in parents]
+    if len(effects) == 1:
+        sources.append(s.stated)
+    for parent in sources:
+        (new,) = (n for n in effects if n not in parent.fit.effects)
+        kept = {e: _of(s, parent, e) for e in parent.fit.effects}
+        many = _places(s, parent)[new][:VALLEYS]
+        if (new,) in s.done and len(effects) > 1:
+            many = [*many, _of(s, s.done[(new,)], new)]
+        for place in many:
+            point = _point(s, h, parent.point.nuisance, {**kept, new: place})
+            out.append(Start(h, point, parent.columns[:, :p]))
         if len(effects) > 1:
-            table.log_z[effects] += sum(fall[name] for name in effects)
+            point = _point(s, h, np.zeros(p), {**kept, new: many[-1]})
+            out.append(Start(h, point, s.stated.columns[:, :p]))
+    for above in (x for x in s.done.values() if len(x.fit.effects) == len(effects) + 1 and not misses(x)):
+        if set(effects) < set(above.fit.effects):
+            point = _point(s, h, above.point.nuisance, {e: _of(s, above, e) for e in effects})
+            out.append(Start(h, point, above.columns[:, :p]))
+            break
+    return out
 
 
-def _foresee_one_sided(context: Context, catalogue: Catalogue, table: Table) -> None:
-    """By foresight, single effects that have one sign only, if from afar they look better than from 0 or than nothing.
+def _nearest(s: Search, effects: Effects) -> Array:
+    """Derivatives by the nuisances about the fit that shares most effects."""
+    near = max(s.done, key=lambda e: (len(set(e) & set(effects)), -len(set(e) - set(effects))))
+    return s.done[near].columns[:, : len(s.context.problem.nuisances)]
 
-    What starts at a boundary need not go on as it starts: charge that spills over by half a pixel widens a line, by a
-    whole one it does not, and between the two is no way downhill.
+
+def _of(s: Search, solved: Solved, name: str) -> Place:
+    """One effect as a fit has it."""
+    h = s.hypothesis(solved.fit.effects)
+    number = {a.name: i for i, a in enumerate(h.amplitudes)}, {a.name: i for i, a in enumerate(h.shapes)}
+    effect = s.catalogue.effects[name]
+    amplitude = [solved.point.amplitude[number[0][a.name]] for a in evidence.amplitudes(effect)]
+    shape = [solved.point.shape[number[1][a.name]] for a in evidence.shapes(effect)]
+    return Place(0.0, np.array(amplitude), np.array(shape))
+
+
+def _point(s: Search, h: Hypothesis, nuisance: Array, places: Mapping[str, Place]) -> Point:
+    parts = [places[e.name] for e in h.effects]
+    amplitude = np.concatenate([p.amplitude for p in parts]) if parts else np.zeros(0)
+    return Point(nuisance, amplitude, np.concatenate([p.shape for p in parts]) if parts else np.zeros(0))
+
+
+def _places(s: Search, about: Solved) -> dict[str, list[Place]]:
+    """Where each effect might begin beside a fit, most promising first.
+
+    The residual that amplitudes q leave is r − J q − ½ B q², nuisances and the fit's own amplitudes integrated to first
+    order: a polynomial, whose minima are found on a grid. A width answers to either sign of a defocus alike, so that at
+    q = 0 it has no slope at all.
     """
-    some = [(e.name,) for e in catalogue.effects.values() if any(evidence.kind(a) == 1 for a in evidence.amplitudes(e))]
-    foretold = foresight.foretell_all(context, [hypothesis_of(catalogue, effects) for effects in some])
-    for effects, found in zip(some, foretold, strict=True):
-        log_z = -np.inf if found is None else found.log_evidence + screen.log_prior(effects, list(catalogue.effects))
-        if found is not None and log_z > min(table.log_z[effects], table.log_z[()]):
-            table.log_z[effects], table.begin[effects] = max(log_z, table.log_z[effects]), found.points
+    key = id(about), about.fit.effects
+    if key in s.places:
+        return s.places[key]
+    lin = absorb(s.context.problem, about.fit.linear)
+    both = np.column_stack([self_columns for self_columns in (s.white, s.bends)])
+    m = linear.marginal(lin, both, about.fit.setting_scale)
+    count, out = s.white.shape[1], {}
+    for name in s.names:
+        effect, found = s.catalogue.effects[name], []
+        for node in s.catalogue.nodes[name]:
+            at = np.array(node.columns)
+            pair = np.concatenate([at, count + at])
+            many = _valleys(effect, m.gram[np.ix_(pair, pair)], m.projection[pair])
+            shape = np.array([node.shape[p.name] for p in evidence.shapes(effect)])
+            found += [Place(gain + node.log_weight, q, shape) for gain, q in many]
+        out[name] = sorted(found, key=lambda x: -x.gain)
+    s.places[key] = out
+    return out
 
 
-def _best(done: Mapping[Effects, Solved]) -> float:
-    """ln Z of the best fit that converged: one that did not says nothing of what others could still reach."""
-    return max((s.fit.log_evidence for s in done.values() if s.fit.converged), default=-np.inf)
+def _valleys(effect: screen.Effect, gram: Array, projection: Array) -> list[tuple[float, Array]]:
+    """Gain and amplitudes (fit space) of an effect's minima beside a fit."""
+    own = evidence.amplitudes(effect)
+    k = len(own)
+    unit = np.array([a.sigma**a.power for a in own])
+    prior = np.diag(unit**-2.0)
+    if effect.whole:
+        return [(0.0, np.ones(k))]
+    if k > 2:
+        q = np.linalg.solve(gram[:k, :k] + prior, projection[:k])
+        q = np.array([max(x, 0.1 * u) if evidence.kind(a) else x for x, a, u in zip(q, own, unit, strict=True)])
+        return [(float(0.5 * projection[:k] @ q), q)]
+    axes = [AMPLITUDES[AMPLITUDES >= 0] if evidence.kind(a) else AMPLITUDES for a in own]
+    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    value = mesh * np.array([a.sigma for a in own])
+    q = value ** np.array([a.power for a in own])
+    w = np.concatenate([q, 0.5 * q**2], axis=-1)
+    cost = 0.5 * np.einsum("...i,ij,...j", w, gram, w) - w @ projection + 0.5 * (mesh**2).sum(axis=-1)
+    low = (cost == minimum_filter(cost, 3, mode="nearest"))
+    out = []
+    for i in np.argwhere(low):
+        place = tuple(i)
+        slope = np.vstack([np.eye(k), np.diag(q[place])])
+        inner = np.eye(k) + (slope.T @ gram @ slope) * np.outer(unit, unit)
+        gain = -float(cost[place]) - 0.5 * float(np.linalg.slogdet(inner)[1])
+        # One-sided effects begin off their boundary, where a derivative may be of the other side.
+        start = np.where([evidence.kind(a) > 0 for a in own], np.maximum(q[place], 0.1 * unit), q[place])
+        out.append((gain, start))
+    return sorted(out, key=lambda x: -x[0])
 
 
-def _margin(table: Table, done: Mapping[Effects, Solved], effects: Effects) -> float:
-    """How far behind the best a hypothesis may be and still has to be refitted."""
-    source = done[table.source[effects]].fit
-    best = _best(done)
-    if table.begin.get(effects) and not table.source[effects]:
-        return FORESEEN
-    near = source.converged and source.log_evidence > best - MATTERS
-    return IDLE if near and set(source.effects) < set(effects) else MATTERS
+def _weigh_about(s: Search, solved: Solved) -> None:
+    """Weigh what has one effect more or less than a fit about it, where no better fit has done so already.
+
+    One less matters as much: about a null that a strong effect has bent, a pair can be weighed right and each of its
+    members wrong, and then the pair's idle member would seem to be needed.
+    """
+    own = solved.fit.effects
+    wanted = []
+    for one in s.names:
+        effects = s.ordered([n for n in s.names if (n in own) != (n == one)])
+        if not effects or len(effects) > LARGEST or effects in s.done:
+            continue
+        source = s.source.get(effects)
+        if source is None or s.done[source].fit.log_evidence < solved.fit.log_evidence:
+            wanted.append(effects)
+    for effects, z in log_z_about(s, solved, wanted).items():
+        s.log_z[effects], s.source[effects] = z, own
+    if not misses(solved):
+        for name, many in _places(s, solved).items():
+            effects = s.ordered([*own, name])
+            if effects in wanted and many and not evidence.shapes(s.catalogue.effects[name]):
+                foretold = solved.fit.log_evidence - s.prior(own) + many[0].gain + s.prior(effects)
+                s.log_z[effects] = max(s.log_z[effects], foretold)
+
+
+def log_z_about(s: Search, solved: Solved, wanted: Sequence[Effects]) -> dict[Effects, float]:
+    """ln Z of sets about a fit by linear algebra, prior of presence included; what both hold has its columns there."""
+    h = s.hypothesis(solved.fit.effects)
+    own = solved.columns[:, len(s.context.problem.nuisances) :]
+    columns = np.column_stack([own, s.white])
+    number = {p.name: i for i, p in enumerate((*h.amplitudes, *h.shapes))}
+    cache: dict[str, list[Term]] = {}
+    listed = []
+    for effects in wanted:
+        kept = Hypothesis(tuple(e for e in h.effects if e.name in effects))
+        there = [number[p.name] for p in (*kept.amplitudes, *kept.shapes)]
+        base = [replace(t, columns=tuple(there[c] for c in t.columns)) for t in kept.terms()]
+        more = tuple(e for e in effects if e not in h.names)
+        joined = screen.hypothesis_terms(s.catalogue, more, cache, own.shape[1])
+        listed.append((effects, [screen.join(a, b) for a in base for b in joined]))
+    found = screen.weigh(solved.fit.linear, columns, s.context.scales, s.context.weights, listed)
+    return {e: z + s.prior(e) for e, z in found.items()}
+
+
+def _settle(s: Search) -> None:
+    """Make the derivatives of what matters exact, from where it ended."""
+    p = len(s.context.problem.nuisances)
+    for _ in range(2):
+        top = s.best().fit.log_evidence
+        some = [x for x in s.done.values() if not x.exact and x.fit.log_evidence > top - EXACT]
+        if not some:
+            break
+        starts = [
+            Start(s.hypothesis(x.fit.effects), x.point, x.columns[:, :p], int(np.argmin(np.abs(s.context.scales - x.fit.setting_scale))))
+            for x in some
+        ]
+        ends = fitted(s.context, starts, {x.fit.effects: s.prior(x.fit.effects) for x in some}, renewals=8)
+        for end in ends:
+            s.done[end.fit.effects] = _faint(s, end)
+            s.log_z[end.fit.effects] = s.done[end.fit.effects].fit.log_evidence
+        for end in ends:
+            _weigh_about(s, s.done[end.fit.effects])
+
+
+SEEN = 6.0
+"""Sigma from 0, at its place, from which on Laplace's method holds for an effect with a place. Of the best of many
+places chance makes four."""
+
+
+def _faint(s: Search, solved: Solved) -> Solved:
+    """A fit whose effect with a place is too weak to say where: its ln Z is the sum over the grid of places, about the
+    best fit of the rest."""
+    effects = solved.fit.effects
+    faint = unseen(s.hypothesis(effects), solved)
+    rest = [x for e, x in s.done.items() if set(e) <= set(effects) - faint]
+    if not faint or not rest:
+        return solved
+    about = max(rest, key=lambda x: x.fit.log_evidence)
+    summed = log_z_about(s, about, [effects])[effects]
+    return replace(solved, fit=replace(solved.fit, log_evidence=summed, converged=about.fit.converged))
+
+
+def unseen(h: Hypothesis, solved: Solved) -> set[str]:
+    """Effects with shapes whose amplitudes, at the place that was found, are not `SEEN` away from 0.
+
+    The sigma of an amplitude over all places says nothing of that: a plume of 13 sigma that may be wide and weak or
+    narrow and strong has one of a quarter of its size.
+    """
+    lin = solved.fit.linear
+    gram = linear.marginal(lin, lin.effect, solved.fit.setting_scale).gram
+    place = {a.name: i for i, a in enumerate(h.amplitudes)}
+    sigma = np.array([a.sigma**a.power for a in h.amplitudes])
+    found = set()
+    for e in h.effects:
+        if not evidence.shapes(e):
+            continue
+        own = np.array([place[a.name] for a in evidence.amplitudes(e)])
+        rest = np.array([i for i in range(len(sigma)) if i not in own], int)
+        inner = gram[np.ix_(rest, rest)] + np.diag(sigma[rest] ** -2.0)
+        left = gram[np.ix_(own, own)] - gram[np.ix_(own, rest)] @ np.linalg.solve(inner, gram[np.ix_(rest, own)])
+        if float(solved.point.amplitude[own] @ left @ solved.point.amplitude[own]) < SEEN**2:
+            found.add(e.name)
+    return found
+
+
+def whole(context: Context, catalogue: Catalogue, solved: Solved) -> Linear:
+    """About a fit: the amplitudes of the whole catalogue, shapes at their most probable node."""
+    names: list[str] = []
+    columns: list[int] = []
+    white = context.whiten(catalogue.columns)
+    m = linear.marginal(absorb(context.problem, solved.fit.linear), white, solved.fit.setting_scale)
+    for effect in context.problem.catalogue:
+        def gain(node: screen.Node) -> float:
+            at = list(node.columns)
+            inner = m.gram[np.ix_(at, at)] + np.diag([p.sigma ** (-2.0 * p.power) for p in evidence.amplitudes(effect)])
+            return float(m.projection[at] @ np.linalg.solve(inner, m.projection[at]))
+
+        node = max(catalogue.nodes[effect.name], key=gain)
+        names += [p.name for p in evidence.amplitudes(effect)]
+        columns += node.columns
+    return replace(solved.fit.linear, effect=white[:, columns], names=tuple(names))

@@ -1,0 +1,313 @@
+"""Fits of hypotheses, many at once, and their evidence where they end.
+
+Nuisances, amplitudes (in fit space, value**power) and shapes are fitted together (`least_squares`). The evidence is
+Laplace's about that point, with the exact residual: everything Gaussian in closed form, amplitudes at a boundary
+integrated (`evidence`), setting scale and field sigma summed over their grids. A shape's uniform prior enters as a
+Gaussian of the same height, range/√(2π) wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from benchsim.diagnosis import evidence, settings
+from benchsim.diagnosis.evidence import Term
+from benchsim.diagnosis.fits import Effects, Fit
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, span, values
+from benchsim.diagnosis.least_squares import Points, Solution, Task, minimise
+from benchsim.diagnosis.linear import Linear, posterior
+from benchsim.diagnosis.problem import Parameter
+
+Array = NDArray[np.float64]
+
+STILL = 0.2
+"""Gain in ln posterior that may still be promised where a fit is finished. Names are given at margins of 3 and more;
+less costs steps."""
+
+STEPS = 40
+"""Most steps of a fit."""
+
+AGAIN = 3
+"""Times that setting scale and field sigma, which stand while a fit is made, are chosen anew where it ended."""
+
+WIDTH = 0.1
+"""Unit of a shape in its range: how far its fit is damped."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a fit begins, and whitened derivatives of the prediction by the nuisances (n, p) from nearby."""
+
+    hypothesis: Hypothesis
+    point: Point
+    nuisance: Array
+    scale: int = 0
+    """Setting scale, by its place on the grid."""
+
+
+def excess(white: Array) -> float:
+    """By how much −ln likelihood lies above three sigma of what noise gives."""
+    n = len(white)
+    return max(0.0, 0.5 * float(white @ white) - 0.5 * n - 1.5 * np.sqrt(2 * n))
+
+
+def misses(solved: Solved) -> bool:
+    """Whether a fit lies beyond what noise explains, so that its point says little about other hypotheses."""
+    return excess(solved.residual) > 0
+
+
+def _still(white: Array) -> float:
+    """`STILL`, and a fiftieth of a misfit that is beyond doubt: what misses by far need not miss exactly."""
+    return STILL + 0.02 * excess(white)
+
+
+def fitted(
+    context: Context, starts: Sequence[Start], log_prior: Mapping[Effects, float], *, renewals: int
+) -> list[Solved]:
+    """Follow every start to its end.
+
+    Parameters
+    ----------
+    context : Context
+    starts : sequence of Start
+    log_prior : mapping
+        Of the presence of each hypothesis' effects.
+    renewals : int
+        Most exact Jacobians of each; with 0 fits rest on derivatives that followed their steps, which is enough to see
+        which matter.
+
+    Returns
+    -------
+    list of Solved
+        One for each start.
+    """
+    if not starts:
+        return []
+    own = _own_columns(context, starts)
+    ends: list[Solution | None] = [None] * len(starts)
+    hypers = [(s.scale, -1) for s in starts]
+    jacobians = [-np.column_stack([s.nuisance, context.whiten(j)]) for s, j in zip(starts, own, strict=True)]
+    thetas = [theta_of(s.point) for s in starts]
+    moved = list(range(len(starts)))
+    for turn in range(1 + AGAIN):
+        for i in moved:
+            if hypers[i][1] < 0:
+                hypers[i] = (hypers[i][0], _first_term(starts[i].hypothesis))
+        tasks = [_task(context, starts[i].hypothesis, hypers[i], thetas[i], jacobians[i]) for i in moved]
+        found = _minimise(context, [starts[i].hypothesis for i in moved], tasks, renewals if turn == 0 else 1)
+        again = []
+        for i, end in zip(moved, found, strict=True):
+            ends[i] = end
+            cells = _cells(context, starts[i].hypothesis, end)
+            now = _choose(cells)
+            # Between two neighbours on the grid that are as probable the choice could swing for ever.
+            if now != hypers[i] and np.isfinite(end.cost) and cells[now] > cells[hypers[i]] + STILL:
+                hypers[i], thetas[i], jacobians[i] = now, end.theta, end.jacobian
+                again.append(i)
+        moved = again
+        if not moved:
+            break
+    return [
+        _solved(context, s.hypothesis, end, hyper, log_prior[s.hypothesis.names])
+        for s, end, hyper in zip(starts, ends, hypers, strict=True)
+        if end is not None
+    ]
+
+
+def as_it_stands(context: Context, h: Hypothesis, point: Point, nuisance: Array) -> Solved:
+    """A point that was not fitted as a fit, where the derivatives by the nuisances (n, p), not whitened, are known."""
+    (own,) = context.columns([(values(context.problem, h, point), (*h.amplitudes, *h.shapes))])
+    (prediction,) = context.predict([values(context.problem, h, point)])
+    residual = context.whiten(context.problem.data - prediction)
+    jacobian = -context.whiten(np.column_stack([nuisance, own]))
+    end = Solution(theta_of(point), residual, jacobian, float(0.5 * residual @ residual), np.inf, False, True)
+    return _solved(context, h, end, (0, _first_term(h)), 0.0)
+
+
+def theta_of(point: Point) -> Array:
+    return np.concatenate([point.nuisance, point.amplitude, point.shape])
+
+
+def point_of(context: Context, h: Hypothesis, theta: Array) -> Point:
+    p, k = len(context.problem.nuisances), len(h.amplitudes)
+    return Point(theta[:p], theta[p : p + k], theta[p + k :])
+
+
+def _own_columns(context: Context, starts: Sequence[Start]) -> list[Array]:
+    """Derivatives by amplitudes and shapes at the starts."""
+    asked: list[tuple[Mapping[str, float], tuple[Parameter, ...]]] = [
+        (values(context.problem, s.hypothesis, s.point), (*s.hypothesis.amplitudes, *s.hypothesis.shapes))
+        for s in starts
+    ]
+    return context.columns(asked)
+
+
+def _minimise(
+    context: Context, hypotheses: Sequence[Hypothesis], tasks: Sequence[Task], renewals: int
+) -> list[Solution]:
+    problem = context.problem
+    sigma = np.array([n.sigma for n in problem.nuisances])
+
+    def at(points: Points) -> list[dict[str, float]]:
+        return [values(problem, hypotheses[i], point_of(context, hypotheses[i], theta)) for i, theta in points]
+
+    def residuals(points: Points) -> list[Array]:
+        out = [problem.data - f for f in context.predict(at(points))]
+        return [context.whiten(r) if np.isfinite(r).all() else r for r in out]
+
+    def jacobians(points: Points) -> list[Array]:
+        own = [(*problem.nuisances, *hypotheses[i].amplitudes, *hypotheses[i].shapes) for i, _ in points]
+        found = context.columns(list(zip(at(points), own, strict=True)))
+        return [-context.whiten(np.column_stack([j[:, : len(sigma)] * sigma, j[:, len(sigma) :]])) for j in found]
+
+    return minimise(residuals, jacobians, tasks, still=_still, steps=STEPS, renewals=renewals)
+
+
+def _task(
+    context: Context, h: Hypothesis, hyper: tuple[int, int], theta: Array, jacobian: Array
+) -> Task:
+    problem = context.problem
+    scaled = np.array([p.scaled for p in problem.nuisances], bool)
+    p = len(scaled)
+    precision, slope = list(np.where(scaled, context.scales[hyper[0]], 1.0) ** -2.0), [0.0] * p
+    low, high, unit = [-np.inf] * p, [np.inf] * p, [1.0] * p
+    for a, sigma in zip(h.amplitudes, h.sigmas(h.terms()[hyper[1]].field_sigma), strict=True):
+        kind = evidence.kind(a)
+        precision.append(0.0 if kind == 2 else sigma**-2.0)
+        slope.append(0.5 * sigma**-2.0 if kind == 2 else 0.0)
+        low.append(0.0 if kind else -np.inf)
+        high.append(np.inf)
+        unit.append(a.sigma**a.power)
+    for s in h.shapes:
+        precision.append(0.0)
+        slope.append(0.0)
+        low.append(min(s.grid))
+        high.append(max(s.grid))
+        unit.append(WIDTH * span(s))
+    acts = np.ones((len(problem.data), len(theta)), bool)
+    for k, q in enumerate((*problem.nuisances, *h.amplitudes, *h.shapes)):
+        if q.blocks is not None:
+            acts[:, k] = np.isin(problem.block, q.blocks)
+    arrays = (np.array(v, float) for v in (low, high, unit, precision, slope))
+    bounds = [next(arrays) for _ in range(5)]
+    return Task(np.clip(theta, bounds[0], bounds[1]), *bounds, acts, jacobian)
+
+
+def _first_term(h: Hypothesis) -> int:
+    """Random fields begin at their largest sigma, which lets them go where they have to."""
+    terms = h.terms()
+    return max(range(len(terms)), key=lambda i: terms[i].field_sigma)
+
+
+def about(context: Context, h: Hypothesis, end: Solution) -> Linear:
+    """The problem linearised about a point, own amplitudes' columns as its effects."""
+    p, k = len(context.problem.nuisances), len(h.amplitudes)
+    pseudo = end.residual - end.jacobian[:, : p + k] @ end.theta[: p + k]
+    return Linear(
+        pseudo,
+        -end.jacobian[:, :p],
+        np.array([n.scaled for n in context.problem.nuisances], bool),
+        -end.jacobian[:, p : p + k],
+        tuple(a.name for a in h.amplitudes),
+        context.problem.block,
+        context.whiten.logdet,
+    )
+
+
+def log_cells(context: Context, lin: Linear, columns: Array, terms: Sequence[Term]) -> Array:
+    """ln Z of every (setting scale, term), (S, T), without the prior of presence."""
+    many = settings.marginals(lin, columns, context.scales)
+    gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
+    cells = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
+    return np.asarray(cells + settings.log_null(many, context.weights)[:, None])
+
+
+def _cells(context: Context, h: Hypothesis, end: Solution) -> Array:
+    p = len(context.problem.nuisances)
+    if not np.isfinite(end.cost):
+        return np.full((len(context.scales), len(h.terms())), -np.inf)
+    return log_cells(context, about(context, h, end), -end.jacobian[:, p:], h.terms())
+
+
+def _choose(cells: Array) -> tuple[int, int]:
+    """Most probable setting scale, and term there."""
+    scale = int(np.argmax(logsumexp(cells, axis=1)))
+    return scale, int(np.argmax(cells[scale]))
+
+
+def _solved(
+    context: Context, h: Hypothesis, end: Solution, hyper: tuple[int, int], log_prior: float
+) -> Solved:
+    problem, p = context.problem, len(context.problem.nuisances)
+    point, terms = point_of(context, h, end.theta), h.terms()
+    lin = about(context, h, end)
+    columns = -end.jacobian[:, p:]
+    cells = _cells(context, h, end)
+    covariance = _posterior(context, h, lin, columns, cells)
+    at = values(problem, h, point)
+    sd = np.sqrt(np.diag(covariance))
+    sigma = {n.name: float(s * n.sigma) for n, s in zip(problem.nuisances, sd, strict=False)}
+    slope = np.ones(len(end.theta))
+    for i, (a, q) in enumerate(zip(h.amplitudes, point.amplitude, strict=True)):
+        if a.power > 1:
+            # Half the width of the interval q ± its sigma, seen in the value: well defined at 0 too.
+            s = sd[p + i]
+            slope[p + i] = (np.sqrt(q + s) - np.sqrt(max(q - s, 0.0))) / (2 * s)
+    own = (*h.amplitudes, *h.shapes)
+    sigma.update({a.name: float(s) for a, s in zip(own, (sd * slope)[p:], strict=True)})
+    sigma.update({name: 0.0 for e in h.effects for name in evidence.fixed(e)})
+    names = [a.name for a in own]
+    wanted = [a.name for e in h.effects for a in e.parameters]
+    place = [i for i, name in enumerate(wanted) if name in names]
+    order = [names.index(wanted[i]) for i in place]
+    own_covariance = np.zeros((len(wanted), len(wanted)))
+    own_covariance[np.ix_(place, place)] = (covariance * slope[:, None] * slope)[p:, p:][np.ix_(order, order)]
+    done = Fit(
+        h.names,
+        float(logsumexp(cells)) + log_prior,
+        at,
+        sigma,
+        own_covariance,
+        float(context.scales[hyper[0]]),
+        float(end.residual @ end.residual),
+        end.converged,
+        lin,
+        np.asarray(logsumexp(cells, axis=1)) + log_prior,
+    )
+    own_columns = np.column_stack([lin.nuisance, columns])
+    return Solved(done, point, own_columns, end.residual, end.exact)
+
+
+def _posterior(context: Context, h: Hypothesis, lin: Linear, columns: Array, cells: Array) -> Array:
+    """Covariance of nuisances, amplitudes (fit space) and shapes, hyper-parameters mixed in."""
+    terms = h.terms()
+    both = np.column_stack([lin.nuisance, columns])
+    square, projected = both.T @ both, both.T @ lin.residual
+    p, k = lin.nuisance.shape[1], len(h.amplitudes)
+    if not np.isfinite(cells).any():
+        return np.eye(both.shape[1])
+    weights = np.exp(cells - logsumexp(cells))
+    means, covariances, kept = [], [], []
+    for i, j in zip(*np.nonzero(weights > 1e-3), strict=True):
+        task = _task(context, h, (int(i), int(j)), np.zeros(both.shape[1]), both)
+        precision = task.precision.copy()
+        precision[p + k :] = [2 * np.pi / span(s) ** 2 for s in h.shapes]
+        # Where power 2 meets data that say nothing, its prior still bounds it.
+        squares = [
+            2.0 / s**4 if evidence.kind(a) == 2 else 0.0
+            for a, s in zip(h.amplitudes, h.sigmas(terms[j].field_sigma), strict=True)
+        ]
+        precision[p : p + k] += 1e-3 * np.array(squares)
+        covariance = posterior(both, precision**-0.5, square)
+        means.append(covariance @ (projected - task.slope))
+        covariances.append(covariance)
+        kept.append(weights[i, j])
+    w = np.array(kept) / sum(kept)
+    mean = np.einsum("i,ij->j", w, np.array(means))
+    away = np.array(means) - mean
+    return np.einsum("i,ijk->jk", w, np.array(covariances)) + np.einsum("i,ij,ik->jk", w, away, away)
