@@ -35,7 +35,6 @@ import study_words as words
 from benchsim import diagnosis
 from benchsim.bench.model import Recording
 from benchsim.bench.settings import scaled
-from benchsim.diagnosis import curvature
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
@@ -74,7 +73,6 @@ class Stage:
     recording: Recording
     observed: tuple[observables.Observed, ...]
     sight: draw.Sight
-    bends: curvature.Curvature
 
 
 @lru_cache(maxsize=4)
@@ -83,7 +81,7 @@ def stage(tier: str, kind: str, seed: int, case: int, shrink: int) -> Stage:
     recording = draw.bench(kind, rng_of(seed, tier, kind, case), shrink)
     observed = observables.simulate(recording)
     nominal = bench_problem.build(recording, observed)
-    return Stage(recording, tuple(observed), draw.Sight.of(nominal), curvature.measure(nominal))
+    return Stage(recording, tuple(observed), draw.Sight.of(nominal))
 
 
 def verdict_of(d: Diagnosis) -> dict[str, Any]:
@@ -136,10 +134,10 @@ def design(row: str) -> str:
     return "fig7" if row.startswith("fig7") else "six"
 
 
-def diagnosed(problem: Problem, truth: draw.Truth, bends: curvature.Curvature) -> tuple[Diagnosis, Part]:
+def diagnosed(problem: Problem, truth: draw.Truth) -> tuple[Diagnosis, Part]:
     """The verdict, and what of it the case's line holds."""
     start = time.process_time()
-    d = diagnosis.diagnose(problem, bends=bends)
+    d = diagnosis.diagnose(problem)
     spent = time.process_time() - start
     line = {"parameter_pulls": pulls_of(d, truth), "limit_stated": limits_stated(d, truth), "cpu_s": spent}
     return d, {**verdict_of(sizes.sized(problem, d)), **line}
@@ -156,12 +154,12 @@ def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
     yield {
         "truth": draw.plain(truth),
         "truth_element": draw.element_of(nominal, truth),
-        **draw.visible(truth, on.sight, values, on.bends, true),
+        **draw.visible(truth, on.sight, values, true),
     }
     lit = true or nominal
     at = {**draw.nuisances(nominal, truth, rng), **values}
     data = draw.noisy(nominal, predict_all(lit, at) - lit.data + nominal.data, truth, rng)
-    d, line = diagnosed(without(replace(nominal, data=data), row, truth), truth, on.bends)
+    d, line = diagnosed(without(replace(nominal, data=data), row, truth), truth)
     yield line
     if fresh and case % fresh == fresh - 1:
         amended = amend.amended(recording, d)
@@ -213,9 +211,8 @@ def photographs_case(row: str, seed: int, case: int, shrink: int, tier: str = "p
         true = bench_problem.build(bent, observed, attached=False) if truth.fields else None
         # Where nothing is concealed there is nothing to see, and the pictures' own need not be computed.
         sight = draw.Sight.of(seen) if truth.effects or truth.fields else on.sight
-        bends = curvature.measure(seen)
-        yield draw.visible(truth, sight, values, bends, true)
-        yield diagnosed(without(seen, row, truth), truth, bends)[1]
+        yield draw.visible(truth, sight, values, true)
+        yield diagnosed(without(seen, row, truth), truth)[1]
 
 
 def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int) -> dict[str, Any]:

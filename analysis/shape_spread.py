@@ -49,7 +49,7 @@ def pulls(
     at = {**draw.nuisances(nominal, truth, rng), **values}
     data = draw.noisy(nominal, predict_all(nominal, at), truth, rng)
     problem = replace(nominal, data=data, catalogue=(effect,))
-    naming = name(problem, bends=on.bends)
+    naming = name(problem)
     fit = next((f for f in naming.fits if f.effects == (called,) and f.converged), None)
     if fit is None:
         return None

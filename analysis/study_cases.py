@@ -19,7 +19,6 @@ from benchsim.bench.fields import Field
 from benchsim.bench.model import Recording
 from benchsim.diagnosis import evidence
 from benchsim.diagnosis.classes import CLOSE
-from benchsim.diagnosis.curvature import Curvature
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.trial.draws import (
@@ -116,7 +115,7 @@ def in_pixels(
 
 
 def visible(
-    truth: Truth, sight: Sight, values: Mapping[str, float], bends: Curvature, true: Problem | None = None
+    truth: Truth, sight: Sight, values: Mapping[str, float], true: Problem | None = None
 ) -> dict[str, Any]:
     """How visible what is concealed is in the noise of the data that are judged.
 
@@ -127,8 +126,6 @@ def visible(
         On the problem of those data, the effects that the judge's catalogue lacks included.
     values : mapping
         Parameters of the concealed effects by name.
-    bends : Curvature
-        Of the same problem.
     true : Problem, optional
         Of the same data, with the fields of a stranger; where there is one.
 
@@ -143,18 +140,18 @@ def visible(
     catalogue = {e.name: e for e in sight.problem.catalogue}
     nominal = sight.problem
     snr = {name: float(np.linalg.norm(sight.change(own))) for name, own in truth.effects.items()}
-    anew = {name: refitted(nominal, predict_all(nominal, own), bends) for name, own in truth.effects.items()}
+    anew = {name: refitted(nominal, predict_all(nominal, own)) for name, own in truth.effects.items()}
     if true is not None:
         stranger = predict_all(true, {}) - true.data + nominal.data
         bent = whiten(nominal, nominal.covariance, stranger - predict_all(nominal, {}))[0]
         snr[truth.stranger] = float(np.linalg.norm(sight.through(bent)))
-        anew[truth.stranger] = refitted(nominal, stranger, bends)
+        anew[truth.stranger] = refitted(nominal, stranger)
     rival, single = ("", float("inf")), float("inf")
     more: dict[str, Any] = {}
     if truth.effects:
         rival, single = sight.rival(values, tuple(truth.effects)), sight.alone(values, tuple(truth.effects))
         if min(snr.values()) >= SEEN and rival[1] >= CLOSE:
-            more["rival_refitted"] = rival_refitted(sight, values, tuple(truth.effects), bends)
+            more["rival_refitted"] = rival_refitted(sight, values, tuple(truth.effects))
     at_cap = {name: reach(sight, catalogue[name], own) for name, own in truth.effects.items()}
     return {"snr": snr, "refitted": anew, "reach": at_cap, "rival": rival, "alone": single, **more}
 

@@ -17,6 +17,7 @@ from benchsim.diagnosis.judging import Best, Judged, judge, winner
 from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.naming import name
 from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.search import MATTERS
 from benchsim.diagnosis.result import Class, Diagnosis, Found, Law, Left, Residuals, SplitBy
 from benchsim.diagnosis.verdict import Findings
 
@@ -218,7 +219,8 @@ def _remarks(problem: Problem, naming: Naming, findings: Findings) -> list[str]:
                 f"Errors of kind {kind} are {factor:.2g} times as large as stated{shared}: an effect that looks like "
                 "such noise would be hidden."
             )
-    lost = [f for f in naming.fits if f.effects and not f.converged]
+    near = naming.fits[0].log_evidence - MATTERS
+    lost = [f for f in naming.fits if f.effects and not f.converged and f.log_evidence > near]
     if lost:
         out.append(f"Not converged, so nothing rests on it: {', '.join(' + '.join(f.effects) for f in lost)}.")
     if not naming.null.converged:

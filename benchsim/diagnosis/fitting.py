@@ -29,8 +29,12 @@ STILL = 0.2
 """Gain in ln posterior that may still be promised where a fit is finished. Names are given at margins of 3 and more;
 less costs steps."""
 
-STEPS = 40
-"""Most steps of a fit."""
+STEPS, SCOUTED = 40, 15
+"""Most steps of a fit, and of one without exact derivatives, which is to show whether its hypothesis matters."""
+
+SLOW = 0.1
+"""Part of a misfit beyond doubt that has to be promised for a fit to go on: what is wrong by far is not followed
+through every valley."""
 
 AGAIN = 3
 """Times that setting scale and field sigma, which stand while a fit is made, are chosen anew where it ended."""
@@ -62,8 +66,8 @@ def misses(solved: Solved) -> bool:
 
 
 def _still(white: Array) -> float:
-    """`STILL`, and a fiftieth of a misfit that is beyond doubt: what misses by far need not miss exactly."""
-    return STILL + 0.02 * excess(white)
+    """Gain that may still be promised where a fit is finished."""
+    return STILL + SLOW * excess(white)
 
 
 def fitted(
@@ -99,7 +103,7 @@ def fitted(
             if hypers[i][1] < 0:
                 hypers[i] = (hypers[i][0], _first_term(starts[i].hypothesis))
         tasks = [_task(context, starts[i].hypothesis, hypers[i], thetas[i], jacobians[i]) for i in moved]
-        found = _minimise(context, [starts[i].hypothesis for i in moved], tasks, renewals if turn == 0 else 1)
+        found = _minimise(context, [starts[i].hypothesis for i in moved], tasks, renewals)
         again = []
         for i, end in zip(moved, found, strict=True):
             ends[i] = end
@@ -165,7 +169,8 @@ def _minimise(
         found = context.columns(list(zip(at(points), own, strict=True)))
         return [-context.whiten(np.column_stack([j[:, : len(sigma)] * sigma, j[:, len(sigma) :]])) for j in found]
 
-    return minimise(residuals, jacobians, tasks, still=_still, steps=STEPS, renewals=renewals)
+    steps = STEPS if renewals else SCOUTED
+    return minimise(residuals, jacobians, tasks, still=_still, steps=steps, renewals=renewals)
 
 
 def _task(

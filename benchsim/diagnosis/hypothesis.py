@@ -27,6 +27,11 @@ class Whitener:
         """L⁻¹ columns, (n,) or (n, k)."""
         return linear.lowered(self.lower, columns)
 
+    def undone(self, white: Array) -> Array:
+        """L white."""
+        first = np.cumsum([0, *(len(low) for low in self.lower)])
+        return np.concatenate([low @ white[a : a + len(low)] for low, a in zip(self.lower, first, strict=False)])
+
 
 def whitener(covariance: Sequence[Array]) -> Whitener:
     """Factorise once."""

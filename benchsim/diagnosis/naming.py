@@ -20,7 +20,7 @@ from benchsim.diagnosis.fitting import Start, as_it_stands, fitted
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, whitener
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.screen import Catalogue
-from benchsim.diagnosis.search import Search, search, whole
+from benchsim.diagnosis.search import Begun, Search, begun, search, whole
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -64,12 +64,11 @@ def name(problem: Problem, progress: Progress | None = None) -> Naming:
     catalogue = screen.expand(problem, rough.fit.values)
     remove = _removed(problem, catalogue, linear.columns(problem, rough.fit.values, problem.nuisances) * sigma)
     found = noise.estimate(problem, problem.data - linear.predict_all(problem, rough.fit.values), remove)
-    earlier: dict[Effects, Point] = {}
+    earlier: dict[Effects, Begun] = {}
     point = rough.point
     for attempt in range(2):
         context = replace(_context(problem, found), count=context.count)
-        nulls = _null(context, [point, nothing, replace(point, nuisance=-point.nuisance)], columns)
-        solved = max(nulls, key=lambda s: (s.fit.converged, s.fit.log_evidence))
+        solved = max(_null(context, [point, nothing], columns), key=lambda s: s.fit.log_evidence)
         stated = as_it_stands(context, Hypothesis(()), nothing, columns)
         tell("weighing singles and pairs", 0.35)
         seen = search(context, catalogue, solved, stated, tell, earlier)
@@ -79,7 +78,7 @@ def name(problem: Problem, progress: Progress | None = None) -> Naming:
         again = noise.estimate(problem, problem.data - linear.predict_all(problem, best.fit.values), remove)
         if not _moved(found, again):
             break
-        found, earlier = again, {e: s.point for e, s in seen.done.items() if s.fit.converged}
+        found, earlier = again, begun(seen)
         point = seen.done[()].point
     tell("weighing done", 1.0)
     return _naming(problem, seen, found)

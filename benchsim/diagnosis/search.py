@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
-from benchsim.diagnosis import classes, evidence, linear, screen
+from benchsim.diagnosis import classes, evidence, linear, screen, settings
 from benchsim.diagnosis.attachments import absorb
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects
@@ -31,8 +31,9 @@ from benchsim.diagnosis.screen import Catalogue
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-MATTERS = 6.0
-"""ln Z behind the best at which what was only weighed is left at that. Refits of it have ended up to 7 higher."""
+MATTERS, IDLE = 6.0, 1.5
+"""ln Z behind the best at which what was only weighed is left at that, and the same for what was weighed about a good
+fit of fewer effects: that linearisation is the right one unless what is added is large, and then it is not behind."""
 
 AT_ONCE, ROUNDS = 8, 8
 """Sets fitted together, and how often, at most: what is tried at all."""
@@ -47,8 +48,12 @@ VALLEYS = 2
 AMPLITUDES = np.linspace(-2.5, 2.5, 21)
 """Prior sigmas at which that curve is looked at."""
 
-EXACT = 10.0
-"""ln Z behind the best within which derivatives are made exact."""
+BENT = 1.3
+"""Mean setting scale from which on a fit's settings are taken to hide an effect: then every effect is tried beside it,
+and from the stated settings. It costs time only; a tilt's settings hid a coma of 9 sigma at 1.37."""
+
+EXACT = 6.0
+"""ln Z behind the best within which derivatives are made exact: what may be a member of a class, and some."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,16 @@ class Place:
     gain: float
     amplitude: Array
     shape: Array
+
+
+@dataclass(frozen=True)
+class Begun:
+    """Where a fit ended when the noise was estimated worse: its point, setting scale, and derivatives by the nuisances
+    (n, p), not whitened."""
+
+    point: Point
+    scale: int
+    nuisance: Array
 
 
 @dataclass
@@ -78,7 +93,7 @@ class Search:
     source: dict[Effects, Effects]
     done: dict[Effects, Solved]
     stated: Solved
-    earlier: Mapping[Effects, Point] = field(default_factory=dict)
+    earlier: Mapping[Effects, Begun] = field(default_factory=dict)
     places: dict[tuple[int, Effects], dict[str, list[Place]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -107,7 +122,7 @@ def search(
     null: Solved,
     stated: Solved,
     tell: Progress,
-    earlier: Mapping[Effects, Point],
+    earlier: Mapping[Effects, Begun],
 ) -> Search:
     """Fit whatever could matter.
 
@@ -127,14 +142,22 @@ def search(
     tell("fitting single effects", 0.4)
     _fit(s, first)
     for turn in range(ROUNDS):
+        tell(f"fitting {' + '.join(s.best().fit.effects) or 'settings'} and its like", 0.5 + 0.4 * turn / ROUNDS)
+        _settle(s)
         chosen = _next(s)
         if not chosen:
             break
-        tell(f"fitting {' + '.join(chosen[0])}", 0.5 + 0.4 * turn / ROUNDS)
         _fit(s, chosen)
-    tell("making derivatives exact", 0.9)
     _settle(s)
     return s
+
+
+def begun(s: Search) -> dict[Effects, Begun]:
+    """Where the fits of a search ended, for one with other noise."""
+    p = len(s.context.problem.nuisances)
+    return {
+        e: Begun(x.point, _scale(s, x), s.context.whiten.undone(x.columns[:, :p])) for e, x in s.done.items() if e
+    }
 
 
 def _wholes(s: Search) -> list[Effects]:
@@ -148,9 +171,23 @@ def _next(s: Search) -> list[Effects]:
     best = s.best()
     own, top = best.fit.effects, best.fit.log_evidence
     drops = [tuple(n for n in own if n != out) for out in own]
-    wanted = [e for e in (*drops, *_rivals(s, best)) if e not in s.done]
-    weighed = sorted((e for e in s.log_z if e not in s.done and s.log_z[e] > top - MATTERS), key=lambda e: -s.log_z[e])
-    return [*wanted, *(e for e in weighed if e not in wanted)][:AT_ONCE]
+    hidden = strayed(s.context, best) and len(own) < LARGEST
+    more = [s.ordered((*own, n)) for n in s.names if n not in own] if hidden else []
+    wanted = [e for e in (*drops, *_rivals(s, best), *more) if e not in s.done]
+    weighed = [e for e in s.log_z if e not in s.done and s.log_z[e] > top - _margin(s, e)]
+    weighed = sorted(weighed, key=lambda e: -s.log_z[e])
+    return [*wanted, *[e for e in weighed if e not in wanted][:AT_ONCE]]
+
+
+def strayed(context: Context, solved: Solved) -> bool:
+    """Whether a fit's settings were bent, so that what they hide shows in no linearisation about it; or it misses."""
+    return misses(solved) or settings.size(context.scales, solved.fit.log_scales)[0] > BENT
+
+
+def _margin(s: Search, effects: Effects) -> float:
+    """`MATTERS`, or `IDLE`."""
+    about = s.done[s.source[effects]]
+    return IDLE if len(about.fit.effects) < len(effects) and about.exact and not misses(about) else MATTERS
 
 
 def _rivals(s: Search, best: Solved) -> list[Effects]:
@@ -170,7 +207,7 @@ def _rivals(s: Search, best: Solved) -> list[Effects]:
     return close[:RIVALS]
 
 
-def _fit(s: Search, sets: Sequence[Effects], renewals: int = 1) -> None:
+def _fit(s: Search, sets: Sequence[Effects], renewals: int = 0) -> None:
     """Fit sets from all their starts together, keep the best end of each, and weigh what is next to them."""
     starts = [start for effects in sets for start in _starts(s, effects)]
     ends = fitted(s.context, starts, {e: s.prior(e) for e in sets}, renewals=renewals)
@@ -178,7 +215,7 @@ def _fit(s: Search, sets: Sequence[Effects], renewals: int = 1) -> None:
     for end in ends:
         found.setdefault(end.fit.effects, []).append(end)
     for effects, many in found.items():
-        end = max(many, key=lambda x: (x.fit.converged, x.fit.log_evidence))
+        end = max(many, key=lambda x: x.fit.log_evidence)
         s.done[effects] = _faint(s, end)
         s.log_z[effects], s.source[effects] = s.done[effects].fit.log_evidence, effects
     for effects in found:
@@ -189,7 +226,8 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
     """Where the fit of a set begins."""
     h = s.hypothesis(effects)
     if effects in s.earlier:
-        return [Start(h, s.earlier[effects], _nearest(s, effects))]
+        begun = s.earlier[effects]
+        return [Start(h, begun.point, s.context.whiten(begun.nuisance), begun.scale)]
     out: list[Start] = []
     p = len(s.context.problem.nuisances)
     if sum(s.catalogue.effects[e].whole for e in effects) > 1:
@@ -198,7 +236,7 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
     parents = [tuple(n for n in effects if n != new) for new in effects]
     parents = sorted((e for e in parents if e in s.done), key=lambda e: -s.done[e].fit.log_evidence)[:2]
     sources = [s.done[e] for e in parents]
-    if len(effects) == 1:
+    if len(effects) == 1 and strayed(s.context, s.done[()]):
         sources.append(s.stated)
     for parent in sources:
         (new,) = (n for n in effects if n not in parent.fit.effects)
@@ -208,22 +246,21 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
             many = [*many, _of(s, s.done[(new,)], new)]
         for place in many:
             point = _point(s, h, parent.point.nuisance, {**kept, new: place})
-            out.append(Start(h, point, parent.columns[:, :p]))
-        if len(effects) > 1:
+            out.append(Start(h, point, parent.columns[:, :p], _scale(s, parent)))
+        if len(effects) > 1 and strayed(s.context, parent):
             point = _point(s, h, np.zeros(p), {**kept, new: many[-1]})
             out.append(Start(h, point, s.stated.columns[:, :p]))
     for above in (x for x in s.done.values() if len(x.fit.effects) == len(effects) + 1 and not misses(x)):
         if set(effects) < set(above.fit.effects):
             point = _point(s, h, above.point.nuisance, {e: _of(s, above, e) for e in effects})
-            out.append(Start(h, point, above.columns[:, :p]))
+            out.append(Start(h, point, above.columns[:, :p], _scale(s, above)))
             break
     return out
 
 
-def _nearest(s: Search, effects: Effects) -> Array:
-    """Derivatives by the nuisances about the fit that shares most effects."""
-    near = max(s.done, key=lambda e: (len(set(e) & set(effects)), -len(set(e) - set(effects))))
-    return s.done[near].columns[:, : len(s.context.problem.nuisances)]
+def _scale(s: Search, solved: Solved) -> int:
+    """Where a fit's setting scale is on the grid."""
+    return int(np.argmin(np.abs(s.context.scales - solved.fit.setting_scale)))
 
 
 def _of(s: Search, solved: Solved, name: str) -> Place:
@@ -352,10 +389,7 @@ def _settle(s: Search) -> None:
         some = [x for x in s.done.values() if not x.exact and x.fit.log_evidence > top - EXACT]
         if not some:
             break
-        starts = [
-            Start(s.hypothesis(x.fit.effects), x.point, x.columns[:, :p], int(np.argmin(np.abs(s.context.scales - x.fit.setting_scale))))
-            for x in some
-        ]
+        starts = [Start(s.hypothesis(x.fit.effects), x.point, x.columns[:, :p], _scale(s, x)) for x in some]
         ends = fitted(s.context, starts, {x.fit.effects: s.prior(x.fit.effects) for x in some}, renewals=8)
         for end in ends:
             s.done[end.fit.effects] = _faint(s, end)

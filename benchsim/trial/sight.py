@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.diagnosis import evidence, refit
+from benchsim.diagnosis import evidence
 from benchsim.diagnosis.classes import CLOSE, bounds
-from benchsim.diagnosis.curvature import Curvature
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Known, Point, whitener
+from benchsim.diagnosis.fitting import Start, fitted
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, whitener
 from benchsim.diagnosis.linear import Linear, columns, fit_value, linearise, predict_all, value_of, whiten
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.screen import Catalogue, expand
@@ -25,6 +25,9 @@ Rival = tuple[str, float]
 
 STEP = 0.02
 """By which shapes are moved to differentiate, of their range."""
+
+RENEWALS = 8
+"""Most exact Jacobians of a fit from far off."""
 
 NEAREST = 4
 """Rivals, nearest to first order, that `rival_refitted` follows."""
@@ -188,7 +191,7 @@ class Sight:
         return out
 
 
-def refitted(problem: Problem, data: Array, bends: Curvature) -> float:
+def refitted(problem: Problem, data: Array) -> float:
     """Distance of data from what the settings alone can do, refitted within what is stated of them.
 
     `Sight.change` says the same to first order. Settings that move by several sigma bend, and take up more: a beam 3 mm
@@ -200,18 +203,16 @@ def refitted(problem: Problem, data: Array, bends: Curvature) -> float:
     problem : Problem
     data : (n,) array
         Free of noise.
-    bends : Curvature
-        `curvature.measure` of the problem.
 
     Returns
     -------
     float
         [sigma]. Too large where the fit ends in a poorer valley.
     """
-    return _distance(problem, data, bends, (), {})
+    return _distance(problem, data, (), {})
 
 
-def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequence[str], bends: Curvature) -> Rival:
+def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequence[str]) -> Rival:
     """`Sight.rival` with amplitudes, shapes and settings fitted anew, of the `NEAREST` to first order.
 
     A line's width goes with the square of what widens it: beside a board tilted by 20 mrad a wavefront's curvature of
@@ -223,8 +224,6 @@ def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequenc
     values : mapping
         Parameters of the concealed effects.
     concealed : sequence of str
-    bends : Curvature
-        `curvature.measure` of the same problem.
 
     Returns
     -------
@@ -242,7 +241,7 @@ def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequenc
         if not stand.names:
             break
         try:
-            found = _distance(sight.problem, data, bends, stand.names.split("+"), stand.values, caps)
+            found = _distance(sight.problem, data, stand.names.split("+"), stand.values, caps)
         except BenchsimError:  # light that misses the board on the way
             found = float("inf")
         tried.append(replace(stand, distance=found if np.isfinite(found) else stand.distance))
@@ -255,7 +254,6 @@ def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequenc
 def _distance(
     problem: Problem,
     data: Array,
-    bends: Curvature,
     names: Collection[str],
     begin: Mapping[str, float],
     caps: Mapping[str, tuple[float, float]] | None = None,
@@ -265,14 +263,15 @@ def _distance(
     Infinite where a parameter of ``caps`` ends beyond them.
     """
     h = Hypothesis(tuple(e for e in problem.catalogue if e.name in names))
-    context = Context(replace(problem, data=data), whitener(problem.covariance), np.ones(1), np.ones(1), bends)
+    context = Context(replace(problem, data=data), whitener(problem.covariance), np.ones(1), np.ones(1))
     start = Point(
         np.zeros(len(problem.nuisances)),
         np.array([fit_value(p, begin[p.name]) for p in h.amplitudes]),
         # A rival's amplitude of 0 has no shape, and a period of 0 no light.
         np.array([np.clip(begin[p.name], min(p.grid), max(p.grid)) for p in h.shapes]),
     )
-    solved = refit.fit(context, h, [start], Known(bends.first, np.zeros(len(problem.nuisances))))
+    stated = columns(problem, {}, problem.nuisances) * np.array([n.sigma for n in problem.nuisances])
+    (solved,) = fitted(context, [Start(h, start, context.whiten(stated))], {h.names: 0.0}, renewals=RENEWALS)
     ends = {p.name: fit_value(p, solved.fit.values[p.name]) for p in h.amplitudes}
     if any(not low * BEYOND <= ends[n] <= high * BEYOND for n, (low, high) in (caps or {}).items() if n in ends):
         return float("inf")

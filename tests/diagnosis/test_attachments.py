@@ -71,7 +71,7 @@ def contest(truth, seeds, **options):
     out = []
     for seed in seeds:
         problem = toy(truth, seed, **options)
-        found = naming.name(problem, refits=5)
+        found = naming.name(problem)
         laid = attachments.weigh(problem, found, attachments.prepare(problem, found.noise.covariance))
         out.append(max(f.log_evidence for f in found.fits if f.converged) - laid[0].log_evidence)
     return np.array(out)
@@ -111,7 +111,7 @@ def test_a_function_is_weighed_about_its_own_nuisances():
     noise = 0.05 * np.random.default_rng(10).normal(size=len(start))
     data = np.concatenate([model(at, b) for b in range(8)]) + noise
     problem = replace(problem, predict=model, data=data)
-    found = naming.name(problem, refits=5)
+    found = naming.name(problem)
     prepared = attachments.prepare(problem, found.noise.covariance)
     first = next(a for a in attachments.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
     again = attachments.refine(problem, found, prepared, first, found.null)
@@ -135,7 +135,7 @@ def test_what_a_function_promises_and_the_prediction_does_not_keep_is_taken_off(
     """Scenario: about settings where no linearisation holds, the linear residual says that a function would leave next
     to nothing. The exact prediction knows better, and the function loses by what is left."""
     problem = toy({"bow": 0.3}, 5, without=("bow",))
-    found = naming.name(problem, refits=5)
+    found = naming.name(problem)
     prepared = attachments.prepare(problem, found.noise.covariance)
     first = next(a for a in attachments.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
     white, _ = whiten(problem, found.noise.covariance, first.attachment.basis)
@@ -153,7 +153,7 @@ def test_what_a_function_promises_and_the_prediction_does_not_keep_is_taken_off(
 
 def test_a_null_is_as_probable_about_any_point_where_all_is_linear():
     problem = toy({}, 5)
-    found = naming.name(problem, refits=5)
+    found = naming.name(problem)
     at = {p.name: 0.4 * p.sigma for p in problem.nuisances if "shift" not in p.name}
     for point in (found.null.values, {**found.null.values, **at}):
         linear = linearise(problem, point, (), found.noise.covariance)

@@ -10,7 +10,7 @@ from benchsim.diagnosis import attachments, classes, diagnose, held_out, naming
 
 
 def prepared(problem):
-    found = naming.name(problem, refits=5)
+    found = naming.name(problem)
     best = next(f for f in found.fits if f.converged)
     return (
         found,

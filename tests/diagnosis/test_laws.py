@@ -9,7 +9,7 @@ from benchsim.diagnosis import attachments, held_out, laws, naming
 
 def law_of(truth, seed, attachment, **options):
     problem = toy(truth, seed, **options)
-    found = naming.name(problem, refits=5)
+    found = naming.name(problem)
     prepared = attachments.prepare(problem, found.noise.covariance)
     laid = next(a for a in attachments.weigh(problem, found, prepared) if a.attachment.name == attachment)
     many = held_out.folds(problem, found, found.linear)

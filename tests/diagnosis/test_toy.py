@@ -104,7 +104,7 @@ def test_what_the_catalogue_lacks_is_rarely_given_a_wrong_name(truth, without, e
     wrong = claimed = right = 0
     for seed in range(400, 400 + seeds):
         problem = toy(truth, seed, without=without)
-        judged = judge(problem, naming.name(problem, refits=5))
+        judged = judge(problem, naming.name(problem))
         wrong += judged.verdict in ("named", "class") or bool(judged.found)
         if judged.place is not None and judged.place.claimed:
             claimed += 1
@@ -120,7 +120,7 @@ def test_clean_lines_lack_nothing_but_better_settings_where_those_are_worse_than
     named = 0
     for seed in range(500, 510):
         problem = toy({}, seed, setting_scale=3.0)
-        named += bool({f.name for f in judge(problem, naming.name(problem, refits=5)).found} - {"setting-errors"})
+        named += bool({f.name for f in judge(problem, naming.name(problem)).found} - {"setting-errors"})
     assert named <= 1
 
 
