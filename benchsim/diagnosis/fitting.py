@@ -285,7 +285,7 @@ def _solved(
         np.asarray(logsumexp(cells, axis=1)) + log_prior,
     )
     own_columns = np.column_stack([lin.nuisance, columns])
-    return Solved(done, point, own_columns, end.residual, end.exact)
+    return Solved(done, point, own_columns, end.residual, end.cost, end.exact)
 
 
 def _posterior(context: Context, h: Hypothesis, lin: Linear, columns: Array, cells: Array) -> Array:

@@ -60,6 +60,8 @@ class Solved:
         Derivatives of the prediction by nuisances per prior sigma, amplitudes in fit space, and shapes; whitened.
     residual : (n,)
         Data less prediction, whitened.
+    cost : float
+        −ln posterior there but for a constant.
     exact : bool
         Whether the columns were differentiated there.
     """
@@ -68,6 +70,7 @@ class Solved:
     point: Point
     columns: Array
     residual: Array
+    cost: float
     exact: bool
 
 

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from benchsim.diagnosis import classes, evidence, linear, screen, settings
 from benchsim.diagnosis.attachments import absorb
@@ -42,15 +42,24 @@ NEARBY, RIVALS = 6.0, 3
 """Separation in sigma up to which sets with one effect exchanged for another are fitted beside the best, and how many:
 where the data bend, the right one of two that look alike may have been weighed wrong."""
 
-VALLEYS = 2
-"""Minima of an amplitude's own curve from which a fit begins."""
+VALLEYS = 3
+"""Minima of an amplitude's own curve, or best places of an effect that has a place, from which a fit begins."""
 
-AMPLITUDES = np.linspace(-2.5, 2.5, 21)
-"""Prior sigmas at which that curve is looked at."""
+AMPLITUDES = np.concatenate([-np.geomspace(2.5, 0.02, 12), [0.0], np.geomspace(0.02, 2.5, 12)])
+"""Prior sigmas at which that curve is looked at, before `POLISHED` steps to each of its minima."""
+
+POLISHED = 6
 
 BENT = 1.3
 """Mean setting scale from which on a fit's settings are taken to hide an effect: then every effect is tried beside it,
 and from the stated settings. It costs time only; a tilt's settings hid a coma of 9 sigma at 1.37."""
+
+SQUARE, NOTICED, QUARTER = 0.25, 3.0, 0.25
+"""What bends the data: at half a prior sigma its square shows by a quarter as much as itself, and by 3 sigma; and the
+prior sigmas to either side from which it begins."""
+
+RENEWALS = 8
+"""Most exact Jacobians of a fit that matters."""
 
 EXACT = 6.0
 """ln Z behind the best within which derivatives are made exact: what may be a member of a class, and some."""
@@ -94,12 +103,12 @@ class Search:
     done: dict[Effects, Solved]
     stated: Solved
     earlier: Mapping[Effects, Begun] = field(default_factory=dict)
-    places: dict[tuple[int, Effects], dict[str, list[Place]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.names = tuple(self.catalogue.effects)
         self.white = self.context.whiten(self.catalogue.columns)
         self.bends = self.context.whiten(self.catalogue.bends)
+        self.bending = frozenset(n for n in self.names if _bends(self, n))
 
     def prior(self, effects: Effects) -> float:
         return screen.log_prior(effects, list(self.names))
@@ -141,6 +150,9 @@ def search(
     first = [(n,) for n in s.names] + _wholes(s)
     tell("fitting single effects", 0.4)
     _fit(s, first)
+    if strayed(context, null):
+        # How settings act changes with what bends the data: without exact derivatives such a fit gets lost.
+        _exactly(s, [(n,) for n in s.names if n in s.bending])
     for turn in range(ROUNDS):
         tell(f"fitting {' + '.join(s.best().fit.effects) or 'settings'} and its like", 0.5 + 0.4 * turn / ROUNDS)
         _settle(s)
@@ -207,18 +219,25 @@ def _rivals(s: Search, best: Solved) -> list[Effects]:
     return close[:RIVALS]
 
 
-def _fit(s: Search, sets: Sequence[Effects], renewals: int = 0) -> None:
-    """Fit sets from all their starts together, keep the best end of each, and weigh what is next to them."""
+def _fit(s: Search, sets: Sequence[Effects]) -> None:
+    """Fit sets from all their starts together, by derivatives that follow their steps."""
     starts = [start for effects in sets for start in _starts(s, effects)]
-    ends = fitted(s.context, starts, {e: s.prior(e) for e in sets}, renewals=renewals)
+    ends = fitted(s.context, starts, {e: s.prior(e) for e in sets}, renewals=0)
+    _keep(s, ends)
+
+
+def _keep(s: Search, ends: Sequence[Solved]) -> None:
+    """Keep the best end of each set, and weigh what is next to it."""
     found: dict[Effects, list[Solved]] = {}
     for end in ends:
         found.setdefault(end.fit.effects, []).append(end)
     for effects, many in found.items():
-        end = max(many, key=lambda x: x.fit.log_evidence)
+        # A place without an amplitude is as wide as its range: of several ends the evidence would take that one.
+        placed = any(evidence.shapes(s.catalogue.effects[e]) for e in effects)
+        end = max(many, key=lambda x: -x.cost if placed else x.fit.log_evidence)
         s.done[effects] = _faint(s, end)
         s.log_z[effects], s.source[effects] = s.done[effects].fit.log_evidence, effects
-    for effects in found:
+    for effects in sorted(found, key=lambda e: -s.done[e].fit.log_evidence):
         _weigh_about(s, s.done[effects])
 
 
@@ -241,9 +260,11 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
     for parent in sources:
         (new,) = (n for n in effects if n not in parent.fit.effects)
         kept = {e: _of(s, parent, e) for e in parent.fit.effects}
-        many = _places(s, parent)[new][:VALLEYS]
+        many = _places(s, parent, [new])[new][:VALLEYS]
         if (new,) in s.done and len(effects) > 1:
             many = [*many, _of(s, s.done[(new,)], new)]
+        if parent is s.stated and new in s.bending:
+            many = [*many, *_either(s, new)]
         for place in many:
             point = _point(s, h, parent.point.nuisance, {**kept, new: place})
             out.append(Start(h, point, parent.columns[:, :p], _scale(s, parent)))
@@ -256,6 +277,13 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
             out.append(Start(h, point, above.columns[:, :p], _scale(s, above)))
             break
     return out
+
+
+def _either(s: Search, name: str) -> list[Place]:
+    """Amplitudes of either sign, from which a fit of what acts by its square begins."""
+    sides = [(1.0,) if evidence.kind(a) else (-1.0, 1.0) for a in evidence.amplitudes(s.catalogue.effects[name])]
+    unit = np.array([a.sigma**a.power for a in evidence.amplitudes(s.catalogue.effects[name])])
+    return [Place(0.0, QUARTER * np.array(signs) * unit, np.zeros(0)) for signs in product(*sides)]
 
 
 def _scale(s: Search, solved: Solved) -> int:
@@ -279,30 +307,33 @@ def _point(s: Search, h: Hypothesis, nuisance: Array, places: Mapping[str, Place
     return Point(nuisance, amplitude, np.concatenate([p.shape for p in parts]) if parts else np.zeros(0))
 
 
-def _places(s: Search, about: Solved) -> dict[str, list[Place]]:
-    """Where each effect might begin beside a fit, most promising first.
+def _places(s: Search, about: Solved, names: Sequence[str]) -> dict[str, list[Place]]:
+    """Where effects might begin beside a fit, most promising first.
 
     The residual that amplitudes q leave is r − J q − ½ B q², nuisances and the fit's own amplitudes integrated to first
     order: a polynomial, whose minima are found on a grid. A width answers to either sign of a defocus alike, so that at
     q = 0 it has no slope at all.
     """
-    key = id(about), about.fit.effects
-    if key in s.places:
-        return s.places[key]
-    lin = absorb(s.context.problem, about.fit.linear)
-    both = np.column_stack([self_columns for self_columns in (s.white, s.bends)])
-    m = linear.marginal(lin, both, about.fit.setting_scale)
-    count, out = s.white.shape[1], {}
-    for name in s.names:
+    if not names:
+        return {}
+    lin, out = absorb(s.context.problem, about.fit.linear), {}
+    at = np.array([c for n in names for node in s.catalogue.nodes[n] for c in node.columns])
+    m = linear.marginal(lin, np.column_stack([s.white[:, at], s.bends[:, at]]), about.fit.setting_scale)
+    first = 0
+    for name in names:
         effect, found = s.catalogue.effects[name], []
+        shapes = evidence.shapes(effect)
         for node in s.catalogue.nodes[name]:
-            at = np.array(node.columns)
-            pair = np.concatenate([at, count + at])
+            own = np.arange(first, first + len(node.columns))
+            pair, first = np.concatenate([own, len(at) + own]), first + len(own)
             many = _valleys(effect, m.gram[np.ix_(pair, pair)], m.projection[pair])
-            shape = np.array([node.shape[p.name] for p in evidence.shapes(effect)])
-            found += [Place(gain + node.log_weight, q, shape) for gain, q in many]
-        out[name] = sorted(found, key=lambda x: -x.gain)
-    s.places[key] = out
+            shape = np.array([node.shape[p.name] for p in shapes])
+            found.append([Place(gain + node.log_weight, q, shape) for gain, q in many])
+        if shapes:
+            # Of a grid of places those that are better than all about them.
+            gain = np.reshape([many[0].gain for many in found], [len(p.grid) for p in shapes])
+            found = [[found[i][0] for i in np.flatnonzero(gain == maximum_filter(gain, 3, mode="nearest"))]]
+        out[name] = sorted(found[0], key=lambda x: -x.gain)
     return out
 
 
@@ -319,21 +350,36 @@ def _valleys(effect: screen.Effect, gram: Array, projection: Array) -> list[tupl
         q = np.array([max(x, 0.1 * u) if evidence.kind(a) else x for x, a, u in zip(q, own, unit, strict=True)])
         return [(float(0.5 * projection[:k] @ q), q)]
     axes = [AMPLITUDES[AMPLITUDES >= 0] if evidence.kind(a) else AMPLITUDES for a in own]
+    power, low = np.array([a.power for a in own]), np.array([0.0 if evidence.kind(a) else -np.inf for a in own])
+
+    def cost(value: Array) -> Array:
+        q = (value * np.array([a.sigma for a in own])) ** power
+        w = np.concatenate([q, 0.5 * q**2], axis=-1)
+        return 0.5 * np.einsum("...i,ij,...j", w, gram, w) - w @ projection + 0.5 * (value**2).sum(axis=-1)
+
+    def slopes(value: Array) -> Array:
+        q, unit = (value * np.array([a.sigma for a in own])) ** power, np.array([a.sigma for a in own]) ** power
+        return np.vstack([np.eye(k), np.diag(q)]) * (unit * np.where(power == 2, 2 * value, 1.0))
+
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    value = mesh * np.array([a.sigma for a in own])
-    q = value ** np.array([a.power for a in own])
-    w = np.concatenate([q, 0.5 * q**2], axis=-1)
-    cost = 0.5 * np.einsum("...i,ij,...j", w, gram, w) - w @ projection + 0.5 * (mesh**2).sum(axis=-1)
-    low = (cost == minimum_filter(cost, 3, mode="nearest"))
-    out = []
-    for i in np.argwhere(low):
-        place = tuple(i)
-        slope = np.vstack([np.eye(k), np.diag(q[place])])
-        inner = np.eye(k) + (slope.T @ gram @ slope) * np.outer(unit, unit)
-        gain = -float(cost[place]) - 0.5 * float(np.linalg.slogdet(inner)[1])
+    height, out = cost(mesh), []
+    for i in np.argwhere(height == minimum_filter(height, 3, mode="nearest")):
+        value = mesh[tuple(i)]
+        for _ in range(POLISHED):
+            q = (value * np.array([a.sigma for a in own])) ** power
+            slope = slopes(value)
+            force = slope.T @ (projection - gram @ np.concatenate([q, 0.5 * q**2])) - value
+            step = np.linalg.solve(slope.T @ gram @ slope + np.eye(k), force)
+            tried = [np.maximum(value + part * step, low) for part in (1.0, 0.3, 0.1)]
+            best = min(tried, key=lambda v: float(cost(v)))
+            if not cost(best) < cost(value):
+                break
+            value = best
+        slope = slopes(value)
+        gain = -float(cost(value)) - 0.5 * float(np.linalg.slogdet(slope.T @ gram @ slope + np.eye(k))[1])
         # One-sided effects begin off their boundary, where a derivative may be of the other side.
-        start = np.where([evidence.kind(a) > 0 for a in own], np.maximum(q[place], 0.1 * unit), q[place])
-        out.append((gain, start))
+        start = np.where(low == 0, np.maximum(value, 0.1), value) * np.array([a.sigma for a in own])
+        out.append((gain, start**power))
     return sorted(out, key=lambda x: -x[0])
 
 
@@ -354,12 +400,13 @@ def _weigh_about(s: Search, solved: Solved) -> None:
             wanted.append(effects)
     for effects, z in log_z_about(s, solved, wanted).items():
         s.log_z[effects], s.source[effects] = z, own
-    if not misses(solved):
-        for name, many in _places(s, solved).items():
-            effects = s.ordered([*own, name])
-            if effects in wanted and many and not evidence.shapes(s.catalogue.effects[name]):
-                foretold = solved.fit.log_evidence - s.prior(own) + many[0].gain + s.prior(effects)
-                s.log_z[effects] = max(s.log_z[effects], foretold)
+    if misses(solved):
+        return
+    bending = [n for n in s.bending if n not in own and s.ordered([*own, n]) in wanted]
+    for name, many in _places(s, solved, bending).items():
+        effects = s.ordered([*own, name])
+        foretold = solved.fit.log_evidence - s.prior(own) + many[0].gain + s.prior(effects)
+        s.log_z[effects] = max(s.log_z[effects], foretold)
 
 
 def log_z_about(s: Search, solved: Solved, wanted: Sequence[Effects]) -> dict[Effects, float]:
@@ -382,20 +429,31 @@ def log_z_about(s: Search, solved: Solved, wanted: Sequence[Effects]) -> dict[Ef
 
 
 def _settle(s: Search) -> None:
-    """Make the derivatives of what matters exact, from where it ended."""
-    p = len(s.context.problem.nuisances)
+    """Make the derivatives of what matters exact."""
     for _ in range(2):
         top = s.best().fit.log_evidence
-        some = [x for x in s.done.values() if not x.exact and x.fit.log_evidence > top - EXACT]
-        if not some:
-            break
-        starts = [Start(s.hypothesis(x.fit.effects), x.point, x.columns[:, :p], _scale(s, x)) for x in some]
-        ends = fitted(s.context, starts, {x.fit.effects: s.prior(x.fit.effects) for x in some}, renewals=8)
-        for end in ends:
-            s.done[end.fit.effects] = _faint(s, end)
-            s.log_z[end.fit.effects] = s.done[end.fit.effects].fit.log_evidence
-        for end in ends:
-            _weigh_about(s, s.done[end.fit.effects])
+        _exactly(s, [e for e, x in s.done.items() if not x.exact and x.fit.log_evidence > top - EXACT])
+
+
+def _exactly(s: Search, sets: Sequence[Effects]) -> None:
+    """Follow fits from where they ended with exact derivatives."""
+    p, some = len(s.context.problem.nuisances), [s.done[e] for e in sets]
+    starts = [Start(s.hypothesis(x.fit.effects), x.point, x.columns[:, :p], _scale(s, x)) for x in some]
+    _keep(s, fitted(s.context, starts, {e: s.prior(e) for e in sets}, renewals=RENEWALS))
+
+
+def _bends(s: Search, name: str) -> bool:
+    """Whether the data answer to an effect's size by its square, not much less than by itself."""
+    effect = s.catalogue.effects[name]
+    if evidence.shapes(effect) or effect.whole or effect.random_field:
+        return False
+    at = list(s.catalogue.nodes[name][0].columns)
+    lin = s.stated.fit.linear
+    half = np.array([screen.BENT * a.sigma**a.power for a in evidence.amplitudes(effect)])
+    both = np.column_stack([s.white[:, at] * half, 0.5 * s.bends[:, at] * half**2])
+    left = np.sqrt(np.diag(linear.marginal(lin, both, s.done[()].fit.setting_scale).gram))
+    first, second = left[: len(at)], left[len(at) :]
+    return bool(((second > SQUARE * first) & (second > NOTICED)).any())
 
 
 SEEN = 6.0

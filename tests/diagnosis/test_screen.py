@@ -61,7 +61,7 @@ def test_screened_evidence_against_integration_over_everything():
     residual = rng.normal(size=n) + effect[:, 0] * 0.7
     about = linear.Linear(residual, nuisance, np.array([True]), effect, ("a",), np.zeros(n, int), 0.0)
     made = Effect("a", "x", (Parameter("a", "1", 0.8, one_sided=True),))
-    catalogue = screen.Catalogue({"a": made}, {"a": (screen.Node({}, (0,), 0.0),)}, effect)
+    catalogue = screen.Catalogue({"a": made}, {"a": (screen.Node({}, (0,), 0.0),)}, effect, 0 * effect)
     scales, weights = settings.grid()
     found = screen.screen(about, catalogue, effect, scales, weights)
     x, a = np.linspace(-40, 40, 1001), np.linspace(0, 6.4, 201)
@@ -125,7 +125,7 @@ def test_five_hundred_hypotheses_take_a_fraction_of_a_second():
     about = linear.Linear(
         rng.normal(size=n), rng.normal(size=(n, 160)), np.ones(160, bool), columns, (), np.zeros(n, int), 0.0
     )
-    catalogue = screen.Catalogue(effects, nodes, columns)
+    catalogue = screen.Catalogue(effects, nodes, columns, 0 * columns)
     took = []
     for _ in range(3):
         start = time.process_time()
