@@ -260,7 +260,10 @@ def _doubted(problem: Problem, naming: Naming, hypotheses: Weighed) -> tuple[tup
     if problem.stated and hypotheses.probability([(settings.NAME,)]) >= verdict.UNSURE:
         suspects.append((settings.NAME,))
     z = hypotheses.log_evidence
-    listed = sorted([(), *suspects], key=lambda h: -z.get(h, -np.inf))
+    least = min((z.get(h, np.inf) for h in suspects), default=np.inf)
+    # What is more probable than an alternative is one too.
+    others = [h for h in z if len(h) == 1 and h not in suspects and z[h] > least]
+    listed = sorted([(), *suspects, *others], key=lambda h: -z.get(h, -np.inf))[: classes.MEMBERS]
     return (tuple(listed),) if suspects else ()
 
 

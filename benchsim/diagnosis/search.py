@@ -183,12 +183,15 @@ def _next(s: Search) -> list[Effects]:
     best = s.best()
     own, top = best.fit.effects, best.fit.log_evidence
     drops = [tuple(n for n in own if n != out) for out in own]
+    # A smaller set that looks better from here than it was fitted ended in another valley.
+    foretold = {} if misses(best) else log_z_about(s, best, drops)
+    again = [e for e, z in foretold.items() if e in s.done and z > max(s.done[e].fit.log_evidence + 1, top - MATTERS)]
     hidden = strayed(s.context, best) and len(own) < LARGEST
     more = [s.ordered((*own, n)) for n in s.names if n not in own] if hidden else []
     wanted = [e for e in (*drops, *_rivals(s, best), *more) if e not in s.done]
     weighed = [e for e in s.log_z if e not in s.done and s.log_z[e] > top - _margin(s, e)]
     weighed = sorted(weighed, key=lambda e: -s.log_z[e])
-    return [*wanted, *[e for e in weighed if e not in wanted][:AT_ONCE]]
+    return [*again, *wanted, *[e for e in weighed if e not in wanted][:AT_ONCE]]
 
 
 def strayed(context: Context, solved: Solved) -> bool:
@@ -234,7 +237,8 @@ def _keep(s: Search, ends: Sequence[Solved]) -> None:
     for effects, many in found.items():
         # A place without an amplitude is as wide as its range: of several ends the evidence would take that one.
         placed = any(evidence.shapes(s.catalogue.effects[e]) for e in effects)
-        end = max(many, key=lambda x: -x.cost if placed else x.fit.log_evidence)
+        was = [s.done[effects]] if effects in s.done and not any(e.exact for e in many) else []
+        end = max([*many, *was], key=lambda x: -x.cost if placed else x.fit.log_evidence)
         s.done[effects] = _faint(s, end)
         s.log_z[effects], s.source[effects] = s.done[effects].fit.log_evidence, effects
     for effects in sorted(found, key=lambda e: -s.done[e].fit.log_evidence):

@@ -175,13 +175,3 @@ def test_data_that_cannot_be_used_are_refused():
         name(Problem(**{**vars(problem), "block": problem.block[::-1].copy()}))
 
 
-def test_where_nothing_fits_the_two_that_came_nearest_are_tried_together():
-    """About a null that is far off a pair may be weighed as low as any; what its members reach alone says more."""
-    done = {
-        e: SimpleNamespace(fit=SimpleNamespace(log_evidence=z))
-        for e, z in {(): 0.0, ("a",): 5.0, ("b",): 40.0, ("c",): 30.0, ("a", "d"): 90.0}.items()
-    }
-    table = search.Table({("a", "b"): 3.0, ("b", "c"): -50.0}, {})
-    assert search._top_two(table, done) == ("b", "c")
-    assert search._top_two(table, done | {("b", "c"): done[()]}) is None
-    assert search._top_two(table, {e: done[e] for e in [(), ("a",)]}) is None
