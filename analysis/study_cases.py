@@ -114,9 +114,7 @@ def in_pixels(
     return replace(truth, effects=effects), {k: v * share.get(k, 1.0) for k, v in values.items()}
 
 
-def visible(
-    truth: Truth, sight: Sight, values: Mapping[str, float], true: Problem | None = None
-) -> dict[str, Any]:
+def visible(truth: Truth, sight: Sight, values: Mapping[str, float], true: Problem | None = None) -> dict[str, Any]:
     """How visible what is concealed is in the noise of the data that are judged.
 
     Parameters

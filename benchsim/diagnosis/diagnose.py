@@ -17,8 +17,8 @@ from benchsim.diagnosis.judging import Best, Judged, judge, winner
 from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.naming import name
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.search import MATTERS
 from benchsim.diagnosis.result import Class, Diagnosis, Found, Law, Left, Residuals, SplitBy
+from benchsim.diagnosis.search import MATTERS
 from benchsim.diagnosis.verdict import Findings
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ Gaussian of the same height, range/√(2π) wide.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,8 @@ less costs steps."""
 
 OWED = 3.0
 """Gain that a fit which finds no step may still promise, if names are to rest on it: the evidence counts it as had.
-Predictions have kinks of some thousandths of a sigma, which promise what cannot be had, and data that jump, as where the
-least tilt puts a window into the light, promise what comes after the jump."""
+Predictions have kinks of some thousandths of a sigma, which promise what cannot be had, and data that jump, as where
+the least tilt puts a window into the light, promise what comes after the jump."""
 
 STEPS, SCOUTED = 40, 15
 """Most steps of a fit, and of one without exact derivatives, which is to show whether its hypothesis matters."""
@@ -103,7 +103,7 @@ def fitted(
     jacobians = [-np.column_stack([s.nuisance, context.whiten(j)]) for s, j in zip(starts, own, strict=True)]
     thetas = [theta_of(s.point) for s in starts]
     moved = list(range(len(starts)))
-    for turn in range(1 + AGAIN):
+    for _ in range(1 + AGAIN):
         for i in moved:
             if hypers[i][1] < 0:
                 hypers[i] = (hypers[i][0], _first_term(starts[i].hypothesis))
@@ -178,9 +178,7 @@ def _minimise(
     return minimise(residuals, jacobians, tasks, still=_still, steps=steps, renewals=renewals)
 
 
-def _task(
-    context: Context, h: Hypothesis, hyper: tuple[int, int], theta: Array, jacobian: Array
-) -> Task:
+def _task(context: Context, h: Hypothesis, hyper: tuple[int, int], theta: Array, jacobian: Array) -> Task:
     problem = context.problem
     scaled = np.array([p.scaled for p in problem.nuisances], bool)
     p = len(scaled)
@@ -203,9 +201,8 @@ def _task(
     for k, q in enumerate((*problem.nuisances, *h.amplitudes, *h.shapes)):
         if q.blocks is not None:
             acts[:, k] = np.isin(problem.block, q.blocks)
-    arrays = (np.array(v, float) for v in (low, high, unit, precision, slope))
-    bounds = [next(arrays) for _ in range(5)]
-    return Task(np.clip(theta, bounds[0], bounds[1]), *bounds, acts, jacobian)
+    least, most, units, inverse, linear = (np.array(v, float) for v in (low, high, unit, precision, slope))
+    return Task(np.clip(theta, least, most), least, most, units, inverse, linear, acts, jacobian)
 
 
 def _first_term(h: Hypothesis) -> int:
@@ -250,11 +247,9 @@ def _choose(cells: Array) -> tuple[int, int]:
     return scale, int(np.argmax(cells[scale]))
 
 
-def _solved(
-    context: Context, h: Hypothesis, end: Solution, hyper: tuple[int, int], log_prior: float
-) -> Solved:
+def _solved(context: Context, h: Hypothesis, end: Solution, hyper: tuple[int, int], log_prior: float) -> Solved:
     problem, p = context.problem, len(context.problem.nuisances)
-    point, terms = point_of(context, h, end.theta), h.terms()
+    point = point_of(context, h, end.theta)
     lin = about(context, h, end)
     columns = -end.jacobian[:, p:]
     cells = _cells(context, h, end)

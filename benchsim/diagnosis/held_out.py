@@ -197,7 +197,9 @@ def choose(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> tupl
         # One node of the shape grid stands for all: its share of the prior comes with it.
         share = -sum(float(np.log(len(p.grid))) for p in e.parameters if p.grid)
         nodes[e.name] = (screen.Node({}, tuple(place[p.name] for p in e.parameters if p.name in place), share),)
-    catalogue = screen.Catalogue({e.name: e for e in problem.catalogue}, nodes, train.effect, np.zeros_like(train.effect))
+    catalogue = screen.Catalogue(
+        {e.name: e for e in problem.catalogue}, nodes, train.effect, np.zeros_like(train.effect)
+    )
     scales, weights = fold.naming.setting_scales, fold.naming.scale_weights
     found = screen.screen(train, catalogue, train.effect, scales, weights)
     named = max(found, key=lambda h: found[h])

@@ -16,6 +16,7 @@ from benchsim.diagnosis.problem import Effect, Parameter, Problem
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
+
 @dataclass(frozen=True)
 class Whitener:
     """Cholesky factors of the blocks' covariances."""

@@ -23,7 +23,7 @@ from benchsim.diagnosis.problem import Parameter, Problem, Values
 Array = NDArray[np.float64]
 
 
-TOGETHER = 256
+TOGETHER = 128
 """Most predictions in one task: few enough that cores share the work evenly, enough that more would gain little."""
 
 

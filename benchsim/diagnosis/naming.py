@@ -18,9 +18,10 @@ from benchsim.diagnosis.attachments import smooth_functions
 from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.fitting import Start, as_it_stands, fitted
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, whitener
+from benchsim.diagnosis.places import whole
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.screen import Catalogue
-from benchsim.diagnosis.search import Begun, Search, begun, search, whole
+from benchsim.diagnosis.search import Begun, Search, begun, search
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -100,7 +101,7 @@ def _context(problem: Problem, found: Noise) -> Context:
 def _null(context: Context, points: Sequence[Point], columns: Array) -> list[Solved]:
     """The null's fits from some points; derivatives by the nuisances are those about the stated settings."""
     h, white = Hypothesis(()), context.whiten(columns)
-    prior = {(): screen.log_prior((), [e.name for e in context.problem.catalogue])}
+    prior: dict[Effects, float] = {(): screen.log_prior((), [e.name for e in context.problem.catalogue])}
     return fitted(context, [Start(h, point, white) for point in points], prior, renewals=8)
 
 

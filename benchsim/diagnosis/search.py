@@ -4,8 +4,8 @@
 
 A fit ends in the valley that it starts in. So every set is fitted from several starts: from a fit with one effect less,
 with that effect's amplitude wherever the linearisation about that fit, bent by the amplitude's own second derivative,
-has a minimum; from the effect's own single fit; and from the stated settings, since those of a smaller fit may have been
-bent to hide what it lacks. What was not fitted is weighed by linear algebra about the best fit that differs by one
+has a minimum; from the effect's own single fit; and from the stated settings, since those of a smaller fit may have
+been bent to hide what it lacks. What was not fitted is weighed by linear algebra about the best fit that differs by one
 effect.
 """
 
@@ -17,7 +17,7 @@ from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import maximum_filter
 
 from benchsim.diagnosis import classes, evidence, linear, screen, settings
 from benchsim.diagnosis.attachments import absorb
@@ -25,7 +25,7 @@ from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects
 from benchsim.diagnosis.fitting import Start, fitted, misses
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved
-from benchsim.diagnosis.linear import Linear
+from benchsim.diagnosis.places import Place, unseen, valleys, whole
 from benchsim.diagnosis.screen import Catalogue
 
 Array = NDArray[np.float64]
@@ -45,11 +45,6 @@ where the data bend, the right one of two that look alike may have been weighed 
 VALLEYS = 3
 """Minima of an amplitude's own curve, or best places of an effect that has a place, from which a fit begins."""
 
-AMPLITUDES = np.concatenate([-np.geomspace(2.5, 0.02, 12), [0.0], np.geomspace(0.02, 2.5, 12)])
-"""Prior sigmas at which that curve is looked at, before `POLISHED` steps to each of its minima."""
-
-POLISHED = 6
-
 BENT = 1.3
 """Mean setting scale from which on a fit's settings are taken to hide an effect: then every effect is tried beside it,
 and from the stated settings. It costs time only; a tilt's settings hid a coma of 9 sigma at 1.37."""
@@ -63,15 +58,6 @@ RENEWALS = 8
 
 EXACT = 6.0
 """ln Z behind the best within which derivatives are made exact: what may be a member of a class, and some."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where an effect might begin beside a fit: its amplitudes and shapes, and the gain in ln Z foretold."""
-
-    gain: float
-    amplitude: Array
-    shape: Array
 
 
 @dataclass(frozen=True)
@@ -167,9 +153,7 @@ def search(
 def begun(s: Search) -> dict[Effects, Begun]:
     """Where the fits of a search ended, for one with other noise."""
     p = len(s.context.problem.nuisances)
-    return {
-        e: Begun(x.point, _scale(s, x), s.context.whiten.undone(x.columns[:, :p])) for e, x in s.done.items() if e
-    }
+    return {e: Begun(x.point, _scale(s, x), s.context.whiten.undone(x.columns[:, :p])) for e, x in s.done.items() if e}
 
 
 def _wholes(s: Search) -> list[Effects]:
@@ -330,7 +314,7 @@ def _places(s: Search, about: Solved, names: Sequence[str]) -> dict[str, list[Pl
         for node in s.catalogue.nodes[name]:
             own = np.arange(first, first + len(node.columns))
             pair, first = np.concatenate([own, len(at) + own]), first + len(own)
-            many = _valleys(effect, m.gram[np.ix_(pair, pair)], m.projection[pair])
+            many = valleys(effect, m.gram[np.ix_(pair, pair)], m.projection[pair])
             shape = np.array([node.shape[p.name] for p in shapes])
             found.append([Place(gain + node.log_weight, q, shape) for gain, q in many])
         if shapes:
@@ -339,52 +323,6 @@ def _places(s: Search, about: Solved, names: Sequence[str]) -> dict[str, list[Pl
             found = [[found[i][0] for i in np.flatnonzero(gain == maximum_filter(gain, 3, mode="nearest"))]]
         out[name] = sorted(found[0], key=lambda x: -x.gain)
     return out
-
-
-def _valleys(effect: screen.Effect, gram: Array, projection: Array) -> list[tuple[float, Array]]:
-    """Gain and amplitudes (fit space) of an effect's minima beside a fit."""
-    own = evidence.amplitudes(effect)
-    k = len(own)
-    unit = np.array([a.sigma**a.power for a in own])
-    prior = np.diag(unit**-2.0)
-    if effect.whole:
-        return [(0.0, np.ones(k))]
-    if k > 2:
-        q = np.linalg.solve(gram[:k, :k] + prior, projection[:k])
-        q = np.array([max(x, 0.1 * u) if evidence.kind(a) else x for x, a, u in zip(q, own, unit, strict=True)])
-        return [(float(0.5 * projection[:k] @ q), q)]
-    axes = [AMPLITUDES[AMPLITUDES >= 0] if evidence.kind(a) else AMPLITUDES for a in own]
-    power, low = np.array([a.power for a in own]), np.array([0.0 if evidence.kind(a) else -np.inf for a in own])
-
-    def cost(value: Array) -> Array:
-        q = (value * np.array([a.sigma for a in own])) ** power
-        w = np.concatenate([q, 0.5 * q**2], axis=-1)
-        return 0.5 * np.einsum("...i,ij,...j", w, gram, w) - w @ projection + 0.5 * (value**2).sum(axis=-1)
-
-    def slopes(value: Array) -> Array:
-        q, unit = (value * np.array([a.sigma for a in own])) ** power, np.array([a.sigma for a in own]) ** power
-        return np.vstack([np.eye(k), np.diag(q)]) * (unit * np.where(power == 2, 2 * value, 1.0))
-
-    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    height, out = cost(mesh), []
-    for i in np.argwhere(height == minimum_filter(height, 3, mode="nearest")):
-        value = mesh[tuple(i)]
-        for _ in range(POLISHED):
-            q = (value * np.array([a.sigma for a in own])) ** power
-            slope = slopes(value)
-            force = slope.T @ (projection - gram @ np.concatenate([q, 0.5 * q**2])) - value
-            step = np.linalg.solve(slope.T @ gram @ slope + np.eye(k), force)
-            tried = [np.maximum(value + part * step, low) for part in (1.0, 0.3, 0.1)]
-            best = min(tried, key=lambda v: float(cost(v)))
-            if not cost(best) < cost(value):
-                break
-            value = best
-        slope = slopes(value)
-        gain = -float(cost(value)) - 0.5 * float(np.linalg.slogdet(slope.T @ gram @ slope + np.eye(k))[1])
-        # One-sided effects begin off their boundary, where a derivative may be of the other side.
-        start = np.where(low == 0, np.maximum(value, 0.1), value) * np.array([a.sigma for a in own])
-        out.append((gain, start**power))
-    return sorted(out, key=lambda x: -x[0])
 
 
 def _weigh_about(s: Search, solved: Solved) -> None:
@@ -460,11 +398,6 @@ def _bends(s: Search, name: str) -> bool:
     return bool(((second > SQUARE * first) & (second > NOTICED)).any())
 
 
-SEEN = 6.0
-"""Sigma from 0, at its place, from which on Laplace's method holds for an effect with a place. Of the best of many
-places chance makes four."""
-
-
 def _faint(s: Search, solved: Solved) -> Solved:
     """A fit whose effect with a place is too weak to say where: its ln Z is the sum over the grid of places, about the
     best fit of the rest."""
@@ -476,44 +409,3 @@ def _faint(s: Search, solved: Solved) -> Solved:
     about = max(rest, key=lambda x: x.fit.log_evidence)
     summed = log_z_about(s, about, [effects])[effects]
     return replace(solved, fit=replace(solved.fit, log_evidence=summed, converged=about.fit.converged))
-
-
-def unseen(h: Hypothesis, solved: Solved) -> set[str]:
-    """Effects with shapes whose amplitudes, at the place that was found, are not `SEEN` away from 0.
-
-    The sigma of an amplitude over all places says nothing of that: a plume of 13 sigma that may be wide and weak or
-    narrow and strong has one of a quarter of its size.
-    """
-    lin = solved.fit.linear
-    gram = linear.marginal(lin, lin.effect, solved.fit.setting_scale).gram
-    place = {a.name: i for i, a in enumerate(h.amplitudes)}
-    sigma = np.array([a.sigma**a.power for a in h.amplitudes])
-    found = set()
-    for e in h.effects:
-        if not evidence.shapes(e):
-            continue
-        own = np.array([place[a.name] for a in evidence.amplitudes(e)])
-        rest = np.array([i for i in range(len(sigma)) if i not in own], int)
-        inner = gram[np.ix_(rest, rest)] + np.diag(sigma[rest] ** -2.0)
-        left = gram[np.ix_(own, own)] - gram[np.ix_(own, rest)] @ np.linalg.solve(inner, gram[np.ix_(rest, own)])
-        if float(solved.point.amplitude[own] @ left @ solved.point.amplitude[own]) < SEEN**2:
-            found.add(e.name)
-    return found
-
-
-def whole(context: Context, catalogue: Catalogue, solved: Solved) -> Linear:
-    """About a fit: the amplitudes of the whole catalogue, shapes at their most probable node."""
-    names: list[str] = []
-    columns: list[int] = []
-    white = context.whiten(catalogue.columns)
-    m = linear.marginal(absorb(context.problem, solved.fit.linear), white, solved.fit.setting_scale)
-    for effect in context.problem.catalogue:
-        def gain(node: screen.Node) -> float:
-            at = list(node.columns)
-            inner = m.gram[np.ix_(at, at)] + np.diag([p.sigma ** (-2.0 * p.power) for p in evidence.amplitudes(effect)])
-            return float(m.projection[at] @ np.linalg.solve(inner, m.projection[at]))
-
-        node = max(catalogue.nodes[effect.name], key=gain)
-        names += [p.name for p in evidence.amplitudes(effect)]
-        columns += node.columns
-    return replace(solved.fit.linear, effect=white[:, columns], names=tuple(names))

@@ -21,9 +21,7 @@ MODELS = {
     "MGH17": lambda b, x: b[0] + b[1] * np.exp(-x * b[3]) + b[2] * np.exp(-x * b[4]),
     "Roszman1": lambda b, x: b[0] - b[1] * x - _arctan(b[2] / (x - b[3])) / np.pi,
     "MGH09": lambda b, x: b[0] * (x**2 + x * b[1]) / (x**2 + x * b[2] + b[3]),
-    "Thurber": lambda b, x: (
-        (b[0] + b[1] * x + b[2] * x**2 + b[3] * x**3) / (1 + b[4] * x + b[5] * x**2 + b[6] * x**3)
-    ),
+    "Thurber": lambda b, x: (b[0] + b[1] * x + b[2] * x**2 + b[3] * x**3) / (1 + b[4] * x + b[5] * x**2 + b[6] * x**3),
     "BoxBOD": lambda b, x: b[0] * (1 - np.exp(-b[1] * x)),
     "Rat42": lambda b, x: b[0] / (1 + np.exp(b[1] - b[2] * x)),
     "MGH10": lambda b, x: b[0] * np.exp(b[1] / (x + b[2])),
@@ -63,8 +61,12 @@ def solved(model, tasks, still=lambda r: 1e-13 * float(r @ r), steps=3000):
     """Fits of residuals model(θ), their derivatives by complex steps."""
 
     def jacobian(theta):
-        return np.column_stack([model(theta + 1e-20j * np.abs(t) * unit).imag / (1e-20 * np.abs(t))
-                                for t, unit in zip(np.where(theta == 0, 1.0, theta), np.eye(len(theta)), strict=True)])
+        return np.column_stack(
+            [
+                model(theta + 1e-20j * np.abs(t) * unit).imag / (1e-20 * np.abs(t))
+                for t, unit in zip(np.where(theta == 0, 1.0, theta), np.eye(len(theta)), strict=True)
+            ]
+        )
 
     return minimise(
         lambda points: [model(t.astype(complex)).real for _, t in points],

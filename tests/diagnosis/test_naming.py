@@ -5,13 +5,11 @@ and how bad one would have to be to pass it in one run of twenty. The bars thems
 slow.
 """
 
-from types import SimpleNamespace
-
 import lines
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import linear, name, search, settings
+from benchsim.diagnosis import linear, name, settings
 from benchsim.diagnosis.problem import Problem
 
 AMPLITUDES = [p for e in lines.CATALOGUE for p in e.parameters if not p.grid]
@@ -173,5 +171,3 @@ def test_data_that_cannot_be_used_are_refused():
         name(Problem(**{**vars(problem), "data": data}))
     with pytest.raises(ValueError, match="block after block"):
         name(Problem(**{**vars(problem), "block": problem.block[::-1].copy()}))
-
-

@@ -90,7 +90,7 @@ def twisted(values, block):
 @pytest.mark.parametrize("lean", [0.0, 0.3])
 @pytest.mark.parametrize("t", [0.5, -0.5])
 def test_what_widens_as_its_square_is_found_with_its_sign(t, lean):
-    """Scenario: a twist of either sign does nothing to first order, alone or beside a lean; a blur is nearly as wide."""
+    """Scenario: a twist of either sign does nothing to first order, alone or beside a lean; a blur is as wide."""
     blur, twist = (Effect(e, "source", (Parameter(p, "1", 1.0),)) for e, p in (("blur", "b"), ("twist", "t")))
     truth = {"t": t} | ({"l": lean} if lean else {})
     fit = best_of(problem(truth, (LEAN, blur, twist), twisted))
@@ -162,7 +162,11 @@ def test_no_name_rests_on_a_gain_that_is_promised_and_cannot_be_had(jump):
 
 def pairs(seed):
     rng = np.random.default_rng(seed)
-    return {"q": float(rng.choice([-2.6, 0.3, 0.6])), "l": float(rng.normal(0, 0.3)), "h": float(rng.choice([0.0, 0.5]))}
+    return {
+        "q": float(rng.choice([-2.6, 0.3, 0.6])),
+        "l": float(rng.normal(0, 0.3)),
+        "h": float(rng.choice([0.0, 0.5])),
+    }
 
 
 @pytest.mark.parametrize("seed", range(6))
