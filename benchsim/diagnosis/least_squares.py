@@ -10,8 +10,9 @@ parameters' own units: settings that the data fix a thousand times better than t
 that they do not fix off the screen. Bounds are kept by an active set within the step.
 
 All tasks step together, so that what they ask of the prediction is asked at once, which is several times cheaper.
-Between exact derivatives the Jacobian follows what steps show of it (Broyden 1965, row by row within each row's own parameters:
-Schubert 1970); exact ones are made where a step gains far less than it promised, and where a fit seems to be finished.
+Between exact derivatives the Jacobian follows what steps show of it (Broyden 1965, row by row within each row's own
+parameters: Schubert 1970); exact ones are made where a step gains far less than it promised, and where a fit seems to
+be finished.
 
 Not for objectives that jump: a step over a jump only shortens the next.
 """
