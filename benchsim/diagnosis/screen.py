@@ -2,7 +2,7 @@
 
 All hypotheses share the products of the catalogue's columns with the nuisances marginalised (`linear.Marginal`); each
 is then a small integral (`evidence`). Shape parameters are summed over their grid, a random field over its sigma, all
-over the setting scale. Not for large nonlinear effects as they stand: those are refitted (`refit`), and what contains
+over the setting scale. Not for large nonlinear effects as they stand: those are fitted (`fitting`), and what contains
 them is weighed again about the refitted point.
 """
 
