@@ -1,4 +1,4 @@
-"""Does the search find the fit that begins at the truth? Cases of the traces tier, searched and fitted from their truth.
+"""Does the search find the fit that begins at the truth? Traces, each searched and fitted from its truth.
 
     python analysis/search_shadow.py --rows single,pair --cases 10 --seed 4242
 
