@@ -38,6 +38,9 @@ fit of fewer effects: that linearisation is the right one unless what is added i
 AT_ONCE, ROUNDS = 8, 8
 """Sets fitted together, and how often, at most: what is tried at all."""
 
+TOGETHER = 10
+"""Sets whose fits step together: more take memory and save little."""
+
 NEARBY, RIVALS = 6.0, 3
 """Separation in sigma up to which sets with one effect exchanged for another are fitted beside the best, and how many:
 where the data bend, the right one of two that look alike may have been weighed wrong."""
@@ -207,10 +210,10 @@ def _rivals(s: Search, best: Solved) -> list[Effects]:
 
 
 def _fit(s: Search, sets: Sequence[Effects]) -> None:
-    """Fit sets from all their starts together, by derivatives that follow their steps."""
-    starts = [start for effects in sets for start in _starts(s, effects)]
-    ends = fitted(s.context, starts, {e: s.prior(e) for e in sets}, renewals=0)
-    _keep(s, ends)
+    """Fit sets from all their starts, some sets together, by derivatives that follow their steps."""
+    for some in (sets[i : i + TOGETHER] for i in range(0, len(sets), TOGETHER)):
+        starts = [start for effects in some for start in _starts(s, effects)]
+        _keep(s, fitted(s.context, starts, {e: s.prior(e) for e in some}, renewals=0))
 
 
 def _keep(s: Search, ends: Sequence[Solved]) -> None:
