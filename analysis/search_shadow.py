@@ -19,7 +19,7 @@ import study_cases as draw
 
 from benchsim.diagnosis import linear, name, screen
 from benchsim.diagnosis.fits import Naming
-from benchsim.diagnosis.fitting import Start, fitted
+from benchsim.diagnosis.fitting import RENEWALS, Start, fitted
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, whitener
 from benchsim.diagnosis.problem import Problem, Values
 from benchsim.instruments.bench import problem as bench_problem
@@ -54,7 +54,7 @@ def from_the_truth(problem: Problem, found: Naming, effects: tuple[str, ...], at
     )
     columns = context.whiten(linear.columns(problem, at, problem.nuisances) * sigma)
     prior = screen.log_prior(h.names, [e.name for e in problem.catalogue])
-    (end,) = fitted(context, [Start(h, point, columns)], {h.names: prior}, renewals=8)
+    (end,) = fitted(context, [Start(h, point, columns)], {h.names: prior}, renewals=RENEWALS)
     return end.fit.log_evidence
 
 

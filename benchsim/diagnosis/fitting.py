@@ -37,6 +37,9 @@ the least tilt puts a window into the light, promise what comes after the jump."
 STEPS, SCOUTED = 40, 15
 """Most steps of a fit, and of one without exact derivatives, which is to show whether its hypothesis matters."""
 
+RENEWALS = 8
+"""Most exact Jacobians of a fit that matters."""
+
 SLOW = 0.1
 """Part of a misfit beyond doubt that has to be promised for a fit to go on: what is wrong by far is not followed
 through every valley."""
@@ -99,14 +102,11 @@ def fitted(
         return []
     own = _own_columns(context, starts)
     ends: list[Solution | None] = [None] * len(starts)
-    hypers = [(s.scale, -1) for s in starts]
+    hypers = [(s.scale, _first_term(s.hypothesis)) for s in starts]
     jacobians = [-np.column_stack([s.nuisance, context.whiten(j)]) for s, j in zip(starts, own, strict=True)]
     thetas = [theta_of(s.point) for s in starts]
     moved = list(range(len(starts)))
     for _ in range(1 + AGAIN):
-        for i in moved:
-            if hypers[i][1] < 0:
-                hypers[i] = (hypers[i][0], _first_term(starts[i].hypothesis))
         tasks = [_task(context, starts[i].hypothesis, hypers[i], thetas[i], jacobians[i]) for i in moved]
         found = _minimise(context, [starts[i].hypothesis for i in moved], tasks, renewals)
         again = []
@@ -284,8 +284,7 @@ def _solved(context: Context, h: Hypothesis, end: Solution, hyper: tuple[int, in
         lin,
         np.asarray(logsumexp(cells, axis=1)) + log_prior,
     )
-    own_columns = np.column_stack([lin.nuisance, columns])
-    return Solved(done, point, own_columns, end.residual, end.cost, end.exact)
+    return Solved(done, point, -end.jacobian, end.residual, end.cost, end.exact)
 
 
 def _posterior(context: Context, h: Hypothesis, lin: Linear, columns: Array, cells: Array) -> Array:

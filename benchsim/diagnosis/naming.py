@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from benchsim.diagnosis import evidence, linear, noise, screen, settings
 from benchsim.diagnosis.attachments import smooth_functions
 from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
-from benchsim.diagnosis.fitting import Start, as_it_stands, fitted
+from benchsim.diagnosis.fitting import RENEWALS, Start, as_it_stands, fitted
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, whitener
 from benchsim.diagnosis.places import whole
 from benchsim.diagnosis.problem import Problem
@@ -102,7 +102,7 @@ def _null(context: Context, points: Sequence[Point], columns: Array) -> list[Sol
     """The null's fits from some points; derivatives by the nuisances are those about the stated settings."""
     h, white = Hypothesis(()), context.whiten(columns)
     prior: dict[Effects, float] = {(): screen.log_prior((), [e.name for e in context.problem.catalogue])}
-    return fitted(context, [Start(h, point, white) for point in points], prior, renewals=8)
+    return fitted(context, [Start(h, point, white) for point in points], prior, renewals=RENEWALS)
 
 
 def _removed(problem: Problem, catalogue: Catalogue, nuisance: Array) -> Array:

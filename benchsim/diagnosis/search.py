@@ -23,7 +23,7 @@ from benchsim.diagnosis import classes, evidence, linear, screen, settings
 from benchsim.diagnosis.attachments import absorb
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects
-from benchsim.diagnosis.fitting import Start, fitted, misses
+from benchsim.diagnosis.fitting import RENEWALS, Start, fitted, misses
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved
 from benchsim.diagnosis.places import Place, unseen, valleys, whole
 from benchsim.diagnosis.screen import Catalogue
@@ -36,7 +36,7 @@ MATTERS, IDLE = 6.0, 1.5
 fit of fewer effects: that linearisation is the right one unless what is added is large, and then it is not behind."""
 
 AT_ONCE, ROUNDS = 8, 8
-"""Sets fitted together, and how often, at most: what is tried at all."""
+"""Sets taken up for what they were weighed, and how often, at most: what is tried at all."""
 
 TOGETHER = 10
 """Sets whose fits step together: more take memory and save little."""
@@ -55,9 +55,6 @@ and from the stated settings. It costs time only; a tilt's settings hid a coma o
 SQUARE, NOTICED, QUARTER = 0.25, 3.0, 0.25
 """What bends the data: at half a prior sigma its square shows by a quarter as much as itself, and by 3 sigma; and the
 prior sigmas to either side from which it begins."""
-
-RENEWALS = 8
-"""Most exact Jacobians of a fit that matters."""
 
 EXACT = 6.0
 """ln Z behind the best within which derivatives are made exact: what may be a member of a class, and some."""

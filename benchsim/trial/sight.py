@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from benchsim.bench.errors import BenchsimError
 from benchsim.diagnosis import evidence
 from benchsim.diagnosis.classes import CLOSE, bounds
-from benchsim.diagnosis.fitting import Start, fitted
+from benchsim.diagnosis.fitting import RENEWALS, Start, fitted
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, whitener
 from benchsim.diagnosis.linear import Linear, columns, fit_value, linearise, predict_all, value_of, whiten
 from benchsim.diagnosis.problem import Effect, Problem
@@ -25,9 +25,6 @@ Rival = tuple[str, float]
 
 STEP = 0.02
 """By which shapes are moved to differentiate, of their range."""
-
-RENEWALS = 8
-"""Most exact Jacobians of a fit from far off."""
 
 NEAREST = 4
 """Rivals, nearest to first order, that `rival_refitted` follows."""
