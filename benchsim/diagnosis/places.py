@@ -40,25 +40,27 @@ def valleys(effect: Effect, gram: Array, projection: Array) -> list[tuple[float,
     """Gain and amplitudes (fit space) of an effect's minima beside a fit."""
     own = evidence.amplitudes(effect)
     k = len(own)
-    unit = np.array([a.sigma**a.power for a in own])
-    prior = np.diag(unit**-2.0)
     if effect.whole:
         return [(0.0, np.asarray(np.ones(k)))]
+    sigma, power = np.array([a.sigma for a in own]), np.array([a.power for a in own])
+    unit = sigma**power
     if k > 2:
-        q = np.linalg.solve(gram[:k, :k] + prior, projection[:k])
+        q = np.linalg.solve(gram[:k, :k] + np.diag(unit**-2.0), projection[:k])
         q = np.array([max(x, 0.1 * u) if evidence.kind(a) else x for x, a, u in zip(q, own, unit, strict=True)])
         return [(float(0.5 * projection[:k] @ q), np.asarray(q, float))]
     axes = [AMPLITUDES[AMPLITUDES >= 0] if evidence.kind(a) else AMPLITUDES for a in own]
-    power, low = np.array([a.power for a in own]), np.array([0.0 if evidence.kind(a) else -np.inf for a in own])
+    low = np.array([0.0 if evidence.kind(a) else -np.inf for a in own])
+
+    def answer(value: Array) -> Array:
+        q = (value * sigma) ** power
+        return np.concatenate([q, 0.5 * q**2], axis=-1)
 
     def cost(value: Array) -> Array:
-        q = (value * np.array([a.sigma for a in own])) ** power
-        w = np.concatenate([q, 0.5 * q**2], axis=-1)
+        w = answer(value)
         return 0.5 * np.einsum("...i,ij,...j", w, gram, w) - w @ projection + 0.5 * (value**2).sum(axis=-1)
 
     def slopes(value: Array) -> Array:
-        q, unit = (value * np.array([a.sigma for a in own])) ** power, np.array([a.sigma for a in own]) ** power
-        return np.vstack([np.eye(k), np.diag(q)]) * (unit * np.where(power == 2, 2 * value, 1.0))
+        return np.vstack([np.eye(k), np.diag((value * sigma) ** power)]) * (unit * np.where(power == 2, 2 * value, 1.0))
 
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     height = cost(mesh)
@@ -66,9 +68,8 @@ def valleys(effect: Effect, gram: Array, projection: Array) -> list[tuple[float,
     for i in np.argwhere(height == minimum_filter(height, 3, mode="nearest")):
         value = mesh[tuple(i)]
         for _ in range(POLISHED):
-            q = (value * np.array([a.sigma for a in own])) ** power
             slope = slopes(value)
-            force = slope.T @ (projection - gram @ np.concatenate([q, 0.5 * q**2])) - value
+            force = slope.T @ (projection - gram @ answer(value)) - value
             step = np.linalg.solve(slope.T @ gram @ slope + np.eye(k), force)
             tried = [np.maximum(value + part * step, low) for part in (1.0, 0.3, 0.1)]
             best = min(tried, key=lambda v: float(cost(v)))
@@ -78,7 +79,7 @@ def valleys(effect: Effect, gram: Array, projection: Array) -> list[tuple[float,
         slope = slopes(value)
         gain = -float(cost(value)) - 0.5 * float(np.linalg.slogdet(slope.T @ gram @ slope + np.eye(k))[1])
         # One-sided effects begin off their boundary, where a derivative may be of the other side.
-        start = np.where(low == 0, np.maximum(value, 0.1), value) * np.array([a.sigma for a in own])
+        start = np.where(low == 0, np.maximum(value, 0.1), value) * sigma
         out.append((gain, start**power))
     return sorted(out, key=lambda x: -x[0])
 
