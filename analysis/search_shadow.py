@@ -2,8 +2,8 @@
 
     python analysis/search_shadow.py --rows single,pair --cases 10 --seed 4242
 
-Per case: the best set and its ln Z, the truth's set as the search fitted or weighed it, the same fitted from the truth,
-CPU seconds and predictions. "lost": the truth's own fit lies more than 0.5 in ln Z above all that the search found.
+Per case: the best set and its ln Z, the same of the truth's set fitted from the truth, and CPU seconds.
+"lost": the truth's own fit lies more than 0.5 in ln Z above all that the search found.
 """
 
 from __future__ import annotations

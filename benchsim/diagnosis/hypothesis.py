@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,13 +75,6 @@ class Solved:
     exact: bool
 
 
-@dataclass
-class Count:
-    """Predictions of single blocks, counted."""
-
-    predictions: int = 0
-
-
 @dataclass(frozen=True)
 class Context:
     """What all fits of one problem share."""
@@ -90,19 +83,14 @@ class Context:
     whiten: Whitener
     scales: Array
     weights: Array
-    count: Count = field(default_factory=Count)
 
     def columns(self, points: Sequence[tuple[Values, Sequence[Parameter]]]) -> list[Array]:
-        """`linear.columns_at`, shapes stepped by 2 % of their range, predictions counted."""
-        blocks = len(self.problem.names)
-        for _, parameters in points:
-            self.count.predictions += sum(2 * (blocks if p.blocks is None else len(p.blocks)) for p in parameters)
+        """`linear.columns_at`, shapes stepped by 2 % of their range."""
         steps = {p.name: 0.02 * span(p) for _, parameters in points for p in parameters if p.grid}
         return linear.columns_at(self.problem, points, steps)
 
     def predict(self, points: Sequence[Values]) -> list[Array]:
-        """`linear.predict_each`, counted."""
-        self.count.predictions += len(self.problem.names) * len(points)
+        """`linear.predict_each`."""
         return linear.predict_each(self.problem, points)
 
 

@@ -7,7 +7,6 @@ The null is fitted first, and the whole catalogue differentiated once, about it;
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +67,7 @@ def name(problem: Problem, progress: Progress | None = None) -> Naming:
     earlier: dict[Effects, Begun] = {}
     point = rough.point
     for attempt in range(2):
-        context = replace(_context(problem, found), count=context.count)
+        context = _context(problem, found)
         solved = max(_null(context, [point, nothing], columns), key=lambda s: s.fit.log_evidence)
         stated = as_it_stands(context, Hypothesis(()), nothing, columns)
         tell("weighing singles and pairs", 0.35)
