@@ -20,10 +20,10 @@ from benchsim.diagnosis.attachments import absorb
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
-from benchsim.instruments.mount import effects, stated
+from benchsim.instruments.mount import effects, functions, stated
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
-from benchsim.instruments.mount.records import UNITS, Session
+from benchsim.instruments.mount.records import UNITS, Function, Session
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
@@ -67,6 +67,8 @@ class MountDiagnosis:
     diagnosis : Diagnosis
     found : mapping of str to mapping of str to float
         Stated effects with what was found added, in the catalogue's units.
+    fields : mapping of str to Function
+        Stated functions with a law added.
     folder : Path
     """
 
@@ -74,6 +76,7 @@ class MountDiagnosis:
     built: Built
     diagnosis: Diagnosis
     found: dict[str, dict[str, float]]
+    fields: dict[str, Function]
     folder: Path
 
     @cached_property
@@ -141,6 +144,7 @@ class MountDiagnosis:
     def text(self) -> str:
         """Plain sentences for ``summary.txt``."""
         put = [n for n, terms in self.found.items() if terms != self.session.effects.get(n)]
+        put += [] if self.diagnosis.law is None else [f"a function of {self.diagnosis.law.coordinate}"]
         names = ", ".join(put)
         return summary(
             self.diagnosis,
@@ -200,7 +204,7 @@ def diagnose(
         result = diagnose_session(session, folder, progress=progress)
         write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
         write_text(staging / "summary.txt", result.text() + "\n")
-        stated.write(session, result.found, staging / "amended.toml", folder)
+        stated.write(session, result.found, result.fields, staging / "amended.toml", folder)
         write_text(staging / "page.json", json.dumps(_page(result), allow_nan=False) + "\n")
     if draw:
         progress("drawing", 0.9)
@@ -245,7 +249,7 @@ def diagnose_session(
         built = replace(built, remarks=(*built.remarks, remark))
         found = _withdrawn(found, built.problem)
     found = replace(found, next=found.next[:NEXT])
-    return MountDiagnosis(session, built, found, amended(session, built, found), folder)
+    return MountDiagnosis(session, built, found, amended(session, built, found), lawful(session, built, found), folder)
 
 
 def distinct(session: Session) -> Session:
@@ -294,6 +298,16 @@ def amended(session: Session, built: Built, d: Diagnosis) -> dict[str, dict[str,
         if "change" in own:
             own["change"] = mount_problem.change_of(built.session.records, d.values["change"])
     return {n: terms for n, terms in out.items() if terms}
+
+
+def lawful(session: Session, built: Built, d: Diagnosis) -> dict[str, Function]:
+    """Stated functions with a law added."""
+    out = dict(session.fields)
+    if d.law is not None:
+        form = next(f for f in mount_problem.functions_of(built.session) if f.name == d.law.attachment)
+        new = functions.of_law(d.law, form, built.session.records)
+        out[form.name] = functions.summed(out[form.name], new) if form.name in out else new
+    return out
 
 
 def zero_sigma(built: Built, d: Diagnosis) -> tuple[float, float]:

@@ -24,7 +24,12 @@ pedestal from the pedestal."""
 
 
 @dataclass(frozen=True)
-class _Form:
+class Form:
+    """One function: its name, where it acts, and the inputs of the prediction that it moves.
+
+    ``where`` (n, d) are the records' places in its coordinate, ``lengths`` over which it may vary.
+    """
+
     name: str
     element: str
     coordinate: str
@@ -40,10 +45,11 @@ SECOND_ORDER = 1e-4
 
 def attachments(problem: Problem, predict: Predict) -> tuple[Attachment, ...]:
     """The attachments of a problem's records."""
-    return tuple(_attach(problem, form) for form in _forms(predict))
+    return tuple(_attach(problem, form) for form in forms(predict))
 
 
-def _forms(predict: Predict) -> list[_Form]:
+def forms(predict: Predict) -> list[Form]:
+    """Every function that a mount's records may show."""
     mount, records = predict.mount, predict.records
     n = len(records.names)
     x = {k: np.full(n, v) for k, v in predict.stated.items()}
@@ -53,29 +59,29 @@ def _forms(predict: Predict) -> list[_Form]:
     around = normal[:, :2] / np.maximum(np.linalg.norm(normal[:, :2], axis=1, keepdims=True), 1e-9)
     when = np.arange(n, dtype=float)[:, None]
     both = ("IA", "IE")
-    forms = [
-        _Form("mount.direction", "mount", "where the mount points", both, angle, normal, wide),
-        _Form("mount.elevation", "mount", "elevation of the normal", both, angle, np.arcsin(np.clip(up, -1, 1)), wide),
-        _Form("mount.azimuth", "mount", "azimuth of the normal", both, angle, around, wide),
-        _Form("time.order", "time", "number of the record", both, angle, when, (n / 16, n / 8, n / 3)),
+    found = [
+        Form("mount.direction", "mount", "where the mount points", both, angle, normal, wide),
+        Form("mount.elevation", "mount", "elevation of the normal", both, angle, np.arcsin(np.clip(up, -1, 1)), wide),
+        Form("mount.azimuth", "mount", "azimuth of the normal", both, angle, around, wide),
+        Form("time.order", "time", "number of the record", both, angle, when, (n / 16, n / 8, n / 3)),
     ]
     if mount.observes == "sky":
         height = np.arcsin(np.clip(records.source[:, 2:], -1, 1))
         # A tube that sinks and air that lifts are one function of the elevation: neither is claimed over the other.
-        forms.append(_Form("mount.sinking", "mount", "elevation of the tube", ("IE",), angle, height, wide))
-        return [*forms, _Form("sky.elevation", "sky", "elevation of the light", ("sun_up",), angle, height, wide)]
+        found.append(Form("mount.sinking", "mount", "elevation of the tube", ("IE",), angle, height, wide))
+        return [*found, Form("sky.elevation", "sky", "elevation of the light", ("sun_up",), angle, height, wide)]
     sun = records.source
-    forms.append(_Form("sky.direction", "sky", "place of the sun", ("sun_across", "sun_up"), angle, sun, wide))
+    found.append(Form("sky.direction", "sky", "place of the sun", ("sun_across", "sun_up"), angle, sun, wide))
     # Of the target alone: a spot's own place on it is what is measured, so that every error would look like a function
     # of that place.
     of = np.array(records.target)
     spots = np.stack([records.spot[of == t].mean(axis=0) for t in of])
     lengths = (1000.0, 3000.0, 10000.0)
     inputs = ("spot_across", "spot_up")
-    return [*forms, _Form("target.which", "target", "which target it is", inputs, "mm", spots, lengths)]
+    return [*found, Form("target.which", "target", "which target it is", inputs, "mm", spots, lengths)]
 
 
-def _attach(problem: Problem, form: _Form) -> Attachment:
+def _attach(problem: Problem, form: Form) -> Attachment:
     n, k = len(problem.names), len(form.inputs)
     inputs = tuple(Parameter(name, form.unit, 20.0) for name in form.inputs)
     slopes = linear.columns(problem, {}, inputs)

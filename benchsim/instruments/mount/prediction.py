@@ -45,6 +45,8 @@ class Predict:
     drift : (n, m) array
         Smooth functions of the record's number, in the mount's unit per unit of ``drift.across_k`` and
         ``drift.up_k``: what every mount does beside its terms.
+    moved : mapping of str to (n,) array
+        What functions that are stated add to parameters, inside.
     """
 
     mount: Mount
@@ -53,6 +55,7 @@ class Predict:
     stated: Mapping[str, float]
     target_number: NDArray[np.intp]
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    moved: Mapping[str, Array] = field(default_factory=dict)
 
     def __call__(self, values: Values | Sequence[Values], block: int | Sequence[int]) -> Any:
         """Of one record, (2,); of lists of values and of their records, a list of such."""
@@ -86,6 +89,8 @@ class Predict:
             for name, step in STEPS.items():
                 if step in x:
                     x[name] = x.get(name, 0.0) + after * x[step]
+        for name, value in self.moved.items():
+            x[name] = x.get(name, 0.0) + value[i]
         normal, centre = axes.pointing(mount, records.reading[i], x)
         source = sky.seen(mount, records.source[i], x)
         if mount.observes == "sky":

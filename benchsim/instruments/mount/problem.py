@@ -16,13 +16,13 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import amplitudes
 from benchsim.diagnosis.problem import Effect, Problem
-from benchsim.instruments.mount import effects
-from benchsim.instruments.mount.attachments import attachments
+from benchsim.instruments.mount import effects, functions
+from benchsim.instruments.mount.attachments import Form, attachments, forms
 from benchsim.instruments.mount.further import Next
 from benchsim.instruments.mount.outlying import MOST, Outlying, outlying
 from benchsim.instruments.mount.posing import nuisances, problem_of
 from benchsim.instruments.mount.prediction import LOST, Predict
-from benchsim.instruments.mount.records import UNITS, Array, Mount, Records, Session, angles
+from benchsim.instruments.mount.records import UNITS, Array, Mount, Records, Session, angles, numbers
 
 FEWEST = 3
 """Records below which nothing is fitted."""
@@ -202,7 +202,14 @@ def predicted(session: Session, catalogue: Sequence[Effect]) -> Predict:
     if "change" in stated:
         stated["change"] = place_of(records, stated["change"])
     order = {t: k for k, t in enumerate(effects.targets(mount, records))}
-    return Predict(mount, records, units, stated, np.array([order[t] for t in records.target], np.intp))
+    out = Predict(mount, records, units, stated, np.array([order[t] for t in records.target], np.intp))
+    return replace(out, moved=functions.inputs(session.fields, forms(out), records)) if session.fields else out
+
+
+def functions_of(session: Session) -> list[Form]:
+    """The functions that a mount's file may state, with its records' places in their coordinates."""
+    plain = replace(session, fields={})
+    return forms(predicted(plain, effects.candidates(plain.mount, plain.records)))
 
 
 def _unit_of(mount: Mount, records: Records, effect: str, term: str) -> str:
@@ -216,29 +223,21 @@ def _unit_of(mount: Mount, records: Records, effect: str, term: str) -> str:
 
 def place_of(records: Records, change: float) -> float:
     """Place among the records of a change that a file states."""
-    numbers = _numbers(records)
-    if numbers is None:
+    counted = numbers(records)
+    if counted is None:
         return change
-    after = int(np.searchsorted(numbers, change))
+    after = int(np.searchsorted(counted, change))
     # Far enough from the first and from the last record that nothing of the change's own width is left there.
-    return {0: -5.0, len(numbers): len(numbers) + 5.0}.get(after, after - 0.5)
+    return {0: -5.0, len(counted): len(counted) + 5.0}.get(after, after - 0.5)
 
 
 def change_of(records: Records, place: float) -> float:
     """How a file states a change at a place among these records."""
-    numbers = _numbers(records)
-    if numbers is None:
+    counted = numbers(records)
+    if counted is None:
         return place
-    after = int(np.clip(np.ceil(place), 1, len(numbers) - 1))
-    return float(numbers[after - 1] + numbers[after]) / 2
-
-
-def _numbers(records: Records) -> Array | None:
-    """The records' numbers, if their names are such and grow."""
-    if not all(n.isdigit() for n in records.names):
-        return None
-    numbers = np.array([float(n) for n in records.names])
-    return numbers if (np.diff(numbers) > 0).all() else None
+    after = int(np.clip(np.ceil(place), 1, len(counted) - 1))
+    return float(counted[after - 1] + counted[after]) / 2
 
 
 def _never(mount: Mount) -> tuple[Effect, ...]:

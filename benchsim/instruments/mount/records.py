@@ -8,6 +8,7 @@ what is compared is the direction of the reflected beam. ``sky``: a telescope's 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -121,6 +122,14 @@ class Records:
 
 
 @dataclass(frozen=True)
+class Function:
+    """A law without a name (`functions`): knots (K, d), and by input, as a file names it, a value for each."""
+
+    knots: Array
+    values: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
 class Session:
     """A mount with its records, as a reader gives them.
 
@@ -137,6 +146,8 @@ class Session:
         What the files leave open, one sentence each.
     effects : mapping of str to mapping
         Stated errors by effect and parameter, in the units of the catalogue; they are part of the simulation.
+    fields : mapping of str to Function
+        Stated functions without a name, by their attachment's.
     """
 
     title: str
@@ -146,6 +157,15 @@ class Session:
     records: Records
     remarks: tuple[str, ...] = ()
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    fields: Mapping[str, Function] = field(default_factory=dict)
+
+
+def numbers(records: Records) -> Array | None:
+    """The records' numbers, if their names are such and grow."""
+    if not all(n.isdigit() for n in records.names):
+        return None
+    found = np.array([float(n) for n in records.names])
+    return found if (np.diff(found) > 0).all() else None
 
 
 def toward(azimuth: Array, elevation: Array) -> Array:

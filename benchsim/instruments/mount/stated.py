@@ -9,6 +9,11 @@
     [effects.axis-tilt]
     tilt_n = -18.2                      # unit of the catalogue
 
+    [fields."mount.elevation"]          # laws without a name: `functions`
+    knots = [[0.3], [0.9], [1.2]]
+    IA_mrad = [0.1, 0.4, -0.2]
+    IE_mrad = [0.0, 1.1, 1.9]
+
 A change of the mount is stated between two records, ``change = 2041.5``: by their numbers where their names are
 numbers, so that it holds of any records of that mount, else by their place in the file.
 """
@@ -22,16 +27,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomlkit
 from tomlkit.exceptions import ParseError
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
-from benchsim.instruments.mount import effects, paint, pointing
-from benchsim.instruments.mount.records import Session
+from benchsim.instruments.mount import effects, functions, paint, pointing
+from benchsim.instruments.mount import problem as mount_problem
+from benchsim.instruments.mount.records import Array, Function, Session
 
 FORMAT = "benchsim-mount/1"
-_KEYS = {"format", "recordings", "tower", "effects"}
+_KEYS = {"format", "recordings", "tower", "effects", "fields"}
 
 
 def recognises(path: Path) -> bool:
@@ -80,11 +87,18 @@ def read(path: Path, tower: Path | None = None) -> Session:
         raise BenchsimError(f"{path}: effects: is no table of effects; write [effects.NAME] with a line per parameter")
     session = read(where, tower or (path.parent / stated if stated is not None else None))
     _check(path, session, found)
-    return replace(session, title=path.stem, path=path, files=(path, *session.files), effects=found)
+    session = replace(session, title=path.stem, path=path, files=(path, *session.files), effects=found)
+    return replace(session, fields=_functions(path, session, data.get("fields", {})))
 
 
-def write(session: Session, found: Mapping[str, Mapping[str, float]], path: Path, target: Path) -> None:
-    """Write a session with stated effects so that it stands in the folder ``target``."""
+def write(
+    session: Session,
+    found: Mapping[str, Mapping[str, float]],
+    fields: Mapping[str, Function],
+    path: Path,
+    target: Path,
+) -> None:
+    """Write a session with stated effects and functions so that it stands in the folder ``target``."""
     source, tower = session.path, None
     if session.path.suffix == ".toml":
         data = _toml(session.path)
@@ -98,7 +112,46 @@ def write(session: Session, found: Mapping[str, Mapping[str, float]], path: Path
         document["tower"] = os.path.relpath(tower.resolve(), target.resolve())
     if found:
         document["effects"] = {n: {k: float(f"{v:.12g}") for k, v in terms.items()} for n, terms in found.items()}
+    if fields:
+        document["fields"] = {
+            name: {"knots": _plain(f.knots), **{k: _plain(v) for k, v in f.values.items()}}
+            for name, f in fields.items()
+        }
     write_text(path, tomlkit.dumps(document))
+
+
+def _plain(values: Array) -> list[Any]:
+    """Nested lists of numbers as a file has them."""
+    return [_plain(v) if np.ndim(v) else float(f"{v:.9g}") for v in values]
+
+
+def _functions(path: Path, session: Session, tables: Any) -> dict[str, Function]:
+    """The functions of a file, checked."""
+    known = {f.name: f for f in mount_problem.functions_of(session)}
+    if not isinstance(tables, dict):
+        raise BenchsimError(f"{path}: fields: is no table of functions; write [fields.NAME] with knots and values")
+    out = {}
+    for name, table in tables.items():
+        if name not in known or not isinstance(table, dict):
+            raise BenchsimError(f"{path}: fields.{name}: is no function of this mount; there are {', '.join(known)}")
+        form = known[name]
+        wide = form.where.shape[1]
+        wanted = {"knots": 2, **{functions.key(i, form): 1 for i in form.inputs}}
+        if set(table) != set(wanted):
+            raise BenchsimError(f"{path}: fields.{name}: has {', '.join(table)}; it has to have {', '.join(wanted)}")
+        arrays = {}
+        for key, dimensions in wanted.items():
+            try:
+                arrays[key] = np.array(table[key], float)
+            except (TypeError, ValueError):
+                arrays[key] = np.zeros(0)
+            fits = arrays[key].ndim == dimensions and len(arrays[key]) == len(table["knots"]) > 0
+            fits = fits and (dimensions == 1 or arrays[key].shape[1] == wide) and bool(np.isfinite(arrays[key]).all())
+            if not fits:
+                shape = f"a list of {wide} numbers" if dimensions == 2 else "a number"
+                raise BenchsimError(f"{path}: fields.{name}.{key}: write {shape} for each of the knots, at least one")
+        out[name] = Function(arrays.pop("knots"), arrays)
+    return out
 
 
 def _toml(path: Path) -> dict[str, Any]:

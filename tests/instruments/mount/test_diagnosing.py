@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.instruments.mount import axes, paint, pointing, problem, sky
+from benchsim.diagnosis import linear
+from benchsim.instruments.mount import axes, paint, pointing, problem, sky, stated
 from benchsim.instruments.mount.outlying import outlying
 from benchsim.instruments.mount.records import UNITS, Mount, Records, Session, toward
 from benchsim.jobs import diagnose
@@ -19,11 +20,16 @@ RECORDINGS = Path(__file__).resolve().parents[4] / "shared" / "recordings"
 real = pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the real recordings are not beside the project")
 
 
-def night(seed, n=40, noise=0.6, **errors):
-    """A telescope's stars under errors [arcsec], with noise [arcsec] and encoder zeros of half a degree."""
+ROWS = "a night\n" + "".join(f"{a} {e} {a}.1 {e}.1\n" for a, e in ((10, 40), (80, 50), (200, 60)))
+
+
+def night(seed, n=40, noise=0.6, bent=0.0, **errors):
+    """A telescope's stars under errors [arcsec], with noise [arcsec] and encoder zeros of half a degree; ``bent``
+    is the amplitude of an elevation error that goes with twice the azimuth, which no catalogue has."""
     rng = np.random.default_rng(seed)
     reading = np.column_stack([rng.uniform(0, 2 * np.pi, n), np.radians(rng.uniform(20, 80, n))])
     x = {k: np.full(n, v * ARCSEC) for k, v in {"IA": 1800.0, "IE": 12.0, **errors}.items()}
+    x["IE"] = x["IE"] + bent * ARCSEC * np.sin(2 * reading[:, 0])
     star = axes.pointing(Mount("az-el", "sky"), reading, x)[0] + noise * ARCSEC * rng.standard_normal((n, 3))
     star /= np.linalg.norm(star, axis=1, keepdims=True)
     records = Records(tuple(f"star {k + 1}" for k in range(n)), reading, star, np.full((n, 3), np.nan), ("",) * n)
@@ -102,6 +108,26 @@ def test_what_was_found_put_in_leaves_nothing(tmp_path):
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
     again = diagnose(tmp_path / "out" / "amended.toml", tmp_path / "again", pictures=False)
     assert again.diagnosis.verdict == "nothing-missing"
+
+
+def test_a_law_goes_into_the_file_and_holds_of_other_stars(tmp_path):
+    """What bends the elevation by 10 arcsec has no name: it is located, its law written, and the file that has it
+    takes away more than three quarters of the square of what another night's stars are missed by."""
+    found = diagnose_session(night(10, n=100, bent=10.0))
+    assert found.diagnosis.verdict == "located"
+    assert found.diagnosis.location.element == "mount"
+    (tmp_path / "night.dat").write_text(ROWS, encoding="utf-8")
+    stated.write(
+        replace(found.session, path=tmp_path / "night.dat"), found.found, found.fields, tmp_path / "a.toml", tmp_path
+    )
+    written = stated.read(tmp_path / "a.toml")
+    fresh = night(110, n=60, bent=10.0)
+    missed = []
+    for fields in ({}, written.fields):
+        lit = problem.build(replace(fresh, fields=fields)).problem
+        missed.append(np.sqrt(np.mean((lit.data - linear.predict_all(lit, {})) ** 2)))
+    assert missed[0] > 4.0
+    assert missed[1] < 0.5 * missed[0]
 
 
 def test_a_record_alone_cannot_be_judged():

@@ -1,13 +1,14 @@
 """Files of mounts: what they mean, and one sentence with file, line or key where they cannot be used."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.instruments.mount import paint, pointing, stated
-from benchsim.instruments.mount.records import angles
+from benchsim.instruments.mount import paint, pointing, problem, stated
+from benchsim.instruments.mount.records import Function, angles
 
 COLUMNS = """! a header
 MMT test
@@ -217,13 +218,23 @@ def test_a_record_without_a_spot_is_left_out_and_said(tmp_path):
     assert "1001-calibration-properties.json" in session.remarks[0]
 
 
+LAW = Function(np.array([[1000.0], [1002.0]]), {"IA_mrad": np.zeros(2), "IE_mrad": np.array([0.0, 2.0])})
+
+
+def test_a_law_of_time_holds_of_the_records_between_and_stays_level_after_them(tmp_path):
+    session = replace(paint.read(paint_folder(tmp_path)), fields={"time.order": LAW})
+    predict = problem.build(session).problem.predict
+    assert predict.moved["IE"] == pytest.approx(np.array([0.0, 1e-3, 2e-3, 2e-3])[: len(session.records.names)])
+
+
 def test_what_was_found_is_written_and_read_again(tmp_path):
     session = paint.read(paint_folder(tmp_path))
     target = tmp_path / "out"
     target.mkdir()
-    stated.write(session, {"axis-tilt": {"tilt_n": -18.25}}, target / "amended.toml", target)
+    stated.write(session, {"axis-tilt": {"tilt_n": -18.25}}, {"time.order": LAW}, target / "amended.toml", target)
     again = stated.read(target / "amended.toml")
     assert again.effects == {"axis-tilt": {"tilt_n": -18.25}}
+    assert again.fields["time.order"].values["IE_mrad"].tolist() == [0.0, 2.0]
     assert again.records.names == session.records.names
     assert stated.recognises(target / "amended.toml")
 
@@ -235,6 +246,11 @@ def test_what_was_found_is_written_and_read_again(tmp_path):
         ("[effects.axis-tilt]\nAN = 1.0", "effects.axis-tilt.AN"),
         ('[effects.axis-tilt]\ntilt_n = "much"', "no finite number"),
         ("speed = 3", "speed"),
+        ('[fields."mount.speed"]\nknots = [[1.0]]', "fields.mount.speed: is no function"),
+        ('[fields."time.order"]\nknots = [[1.0]]\nIA_mrad = [1.0]', "IE_mrad"),
+        ('[fields."time.order"]\nknots = [[1.0]]\nIA_mrad = [1.0]\nIE_mrad = [1.0, 2.0]', "IE_mrad: write a number"),
+        ('[fields."time.order"]\nknots = [1.0]\nIA_mrad = [1.0]\nIE_mrad = [1.0]', "knots: write a list of 1"),
+        ("fields = 3", "fields: is no table"),
     ],
 )
 def test_stated_effects_that_cannot_be_used(tmp_path, line, wanted):
