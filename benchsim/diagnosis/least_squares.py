@@ -36,8 +36,8 @@ REACH = 3.0
 POOR = 0.25
 """Part of the promised gain below which a step asks for exact derivatives; a lower one saves them and costs steps."""
 
-GIVEN_UP = 1e8
-"""Damping, in units of the priors' precision, at which exact derivatives do not lead downhill."""
+GIVEN_UP = 1e-9
+"""Step, in units, so short that exact derivatives do not lead downhill."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,10 @@ class _Run:
     def _step(self, damping: float) -> tuple[Array, float]:
         """The best step within the bounds under some damping, and what it promises."""
         (hessian, force), t = self._normal(), self.task
-        step = bounded(hessian + np.diag(damping / t.unit**2), force, t.low - self.theta, t.high - self.theta)
+        # However sharp the data, a damped step is held to its reach by bounds of its own.
+        reach = REACH * t.unit if damping else np.inf
+        low, high = np.maximum(t.low - self.theta, -reach), np.minimum(t.high - self.theta, reach)
+        step = bounded(hessian + np.diag(damping / t.unit**2), force, low, high)
         return step, float(force @ step - 0.5 * step @ hessian @ step)
 
     def propose(self) -> Array | None:
@@ -189,12 +192,8 @@ class _Run:
             self.over = self.converged = self.exact or self.left <= 0
             self.wants = not self.over
             return None
-        while True:
-            step, self.foreseen = self._step(self.damping)
-            if np.abs(step / self.task.unit).max(initial=0.0) <= REACH or self.damping > GIVEN_UP:
-                break
-            self.damping *= 4.0
-        if self.damping > GIVEN_UP or not self.foreseen > 0:
+        step, self.foreseen = self._step(self.damping)
+        if not self.foreseen > 0 or np.abs(step / self.task.unit).max(initial=0.0) < GIVEN_UP:
             self.wants = not self.exact and self.left > 0
             self.over = not self.wants
             return None

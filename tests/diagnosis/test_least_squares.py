@@ -105,6 +105,18 @@ def test_bounds_are_kept_and_the_rest_is_best_beside_them():
         assert end.converged and end.theta == pytest.approx([0.5, 0.25], abs=1e-6)
 
 
+def test_data_sharp_a_million_times_beside_the_prior_are_reached_from_a_dozen_units_off():
+    """A setting that was stated a dozen of its sigma wrong, seen through something bent with errors of a millionth."""
+    truth = np.array([12.0, -9.0])
+    x = np.linspace(0.0, 1.0, 30)
+
+    def model(b):
+        return 1e6 * (b[0] * x + b[1] * (1 - x) + 0.02 * b[0] * b[1] * x**2)
+
+    (found,) = solved(lambda b: model(b) - model(truth), [task([0.0, 0.0], precision=1.0, rows=30)])
+    assert found.theta == pytest.approx(truth, abs=1e-6)
+
+
 def test_what_no_datum_sees_stays_where_its_prior_has_it():
     """Two parameters of which only the sum is seen, and one that nothing sees."""
     y = np.array([1.0, 1.1, 0.9])
