@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ from benchsim.instruments.bench.observed import (
     CENTRE_FLOOR,
     CENTRE_SLOPE,
     FLUX_FLOOR,
+    JPEG_FLOOR,
     SHAPE_BINS,
     WIDTH_FLOOR,
     WIDTH_SLOPE,
@@ -328,10 +330,11 @@ def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> di
     s, profile = line.s_mm[good], line.profile[good].astype(float)
     width, flux, sigma = line.width_mm[good], line.flux[good], line.sigma_mm[good]
     basis = spline_basis(profile, (profile.min(), profile.max()), (profile.max() - profile.min()) / 12)
+    common = JPEG_FLOOR if Path(line.exposure).suffix.lower() in (".jpg", ".jpeg") else WIDTH_FLOOR
     out: dict[str, Any] = {}
     binned = None
     for key, value, spread, floor, slope in (
-        ("log_width", np.log(width), sigma / width, WIDTH_FLOOR, WIDTH_SLOPE),
+        ("log_width", np.log(width), sigma / width, common, WIDTH_SLOPE),
         ("log_flux", np.log(flux), sigma / width, FLUX_FLOOR, 0.0),
     ):
         # Wrong by a common factor, which the scatter finds.

@@ -30,6 +30,9 @@ and the line's mean shape leave. Pulls of the common offset have a std of 1.01 o
 to 1.35 on those like a phone's (`analysis/noise_pulls.py`). Smaller, and clean pictures show lenses and shaking that
 are not there; larger, and facets that lean differently are seen later."""
 
+JPEG_FLOOR = 7e-3
+"""`WIDTH_FLOOR` of a JPEG: its blocks of 8 px round a line alike as long as it stays in their rows."""
+
 WIDTH_SLOPE = 5e-3
 """The same of its change from the middle of a trace to its ends: with diffraction, other code's widths change along the
 trace by that much more than `rays`' (pulls 1.14), and own renders' do not (0.46 to 0.83)."""
