@@ -3,7 +3,12 @@
     python analysis/diagnosis_study.py run traces --rows single,clean --cases 300 --seed 1 --out out/study
     python analysis/diagnosis_study.py run photographs --rows clean,single --cases 100 --seed 2 --out out/study
     python analysis/diagnosis_study.py run stressed --rows single,pair,clean --cases 20 --seed 3 --out out/study
+    python analysis/diagnosis_study.py run foreign --rows single,clean --cases 12 --seed 4 --other "python other.py"
     python analysis/diagnosis_study.py table out/study/*.jsonl
+
+Pictures of the tier *foreign* are made by a program that is not this project's, called as ``OTHER TRUTH.toml FOLDER
+--seed N``: a bench file to the contract with ``[effects]`` and ``[render]``, which it turns into a recording without
+them, its settings off by errors of its own draw.
 
 Every case is drawn from (seed, row, number) alone and written as it ends; a stopped study resumes. Cases used for
 development must not share a seed with those that are reported.
@@ -14,6 +19,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
+import subprocess
 import tempfile
 import time
 import zlib
@@ -33,8 +40,10 @@ import study_score as score
 import study_words as words
 
 from benchsim import diagnosis
+from benchsim.bench.files import read as read_recording
 from benchsim.bench.model import Recording
 from benchsim.bench.settings import scaled
+from benchsim.bench.writing import write
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
@@ -172,9 +181,20 @@ def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
             yield {"fresh": diagnosis.diagnose(without(replace(doubted, data=data), row, truth)).verdict}
 
 
-def photographs_case(row: str, seed: int, case: int, shrink: int, tier: str = "photographs") -> Iterator[Part]:
-    """One case of the photographs' tier, or of those with a defect (`stress`); how visible the truth is there is read
-    from the pictures that are judged."""
+def elsewhere(other: str, recording: Recording, folder: Path, seed: int) -> Recording:
+    """A bench rendered by a program that is not this project's."""
+    write(recording, folder / "truth.toml", render=True)
+    made = folder / "recording"
+    call = [*shlex.split(other), str(folder / "truth.toml"), str(made), "--seed", str(seed)]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{other}: {done.stderr.strip().splitlines()[-1]}")
+    return read_recording(made)
+
+
+def photographs_case(row: str, seed: int, case: int, shrink: int, tier: str, other: str) -> Iterator[Part]:
+    """One case of the photographs' tier, of those with a defect (`stress`), or of those by another program; how visible
+    the truth is there is read from the pictures that are judged."""
     from benchsim.render.recording import render_recording
 
     rng = rng_of(seed, tier, row, case)
@@ -200,11 +220,15 @@ def photographs_case(row: str, seed: int, case: int, shrink: int, tier: str = "p
     )
     with tempfile.TemporaryDirectory() as folder:
         # Without a defect nothing is drawn for one: the cases that are kept stay what they are.
-        with stress.put(kind, rng) if kind else nullcontext() as defect:
-            made = render_recording(stated, folder, seed=int(rng.integers(2**32)), conceal=True)
-        if defect:
-            yield {"stress": defect}
-        taken = replace(made.recording, uncertainty=recording.uncertainty)
+        number = int(rng.integers(2**32))
+        if other:
+            made = elsewhere(other, stated, Path(folder), number)
+        else:
+            with stress.put(kind, rng) if kind else nullcontext() as defect:
+                made = render_recording(stated, folder, seed=number, conceal=True).recording
+            if defect:
+                yield {"stress": defect}
+        taken = replace(made, uncertainty=recording.uncertainty)
         observed, _lost = observables.observe(taken)
         seen = bench_problem.build(taken, observed)
         bent = replace(taken, fields=truth.fields)
@@ -215,10 +239,14 @@ def photographs_case(row: str, seed: int, case: int, shrink: int, tier: str = "p
         yield diagnosed(without(seen, row, truth), truth)[1]
 
 
-def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int) -> dict[str, Any]:
+def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int, other: str) -> dict[str, Any]:
     """A case and the code that judged it; where a complaint ended it, that and what was known by then."""
     line: dict[str, Any] = {"tier": tier, "row": row, "seed": seed, "case": case, "code": code()[:12]}
-    parts = traces_case(row, seed, case, fresh) if tier == "traces" else photographs_case(row, seed, case, shrink, tier)
+    parts = (
+        traces_case(row, seed, case, fresh)
+        if tier == "traces"
+        else photographs_case(row, seed, case, shrink, tier, other)
+    )
     try:
         for part in parts:
             line |= part
@@ -271,7 +299,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     sub = parser.add_subparsers(dest="command", required=True)
     go = sub.add_parser("run", help="run cases that are not there yet")
-    go.add_argument("tier", choices=["traces", "photographs", "stressed"])
+    go.add_argument("tier", choices=["traces", "photographs", "stressed", "foreign"])
     go.add_argument("--rows", help=f"default all that the tier has of {','.join(ROWS)}")
     go.add_argument("--cases", type=int, default=300, help="per row")
     go.add_argument("--seed", type=int, required=True)
@@ -282,6 +310,7 @@ def main() -> None:
         "--fresh", type=int, default=0, metavar="N",
         help="of every Nth case diagnose a fresh recording against what was found and put into the file (traces)",
     )  # fmt: skip
+    go.add_argument("--other", default="", help="the program that makes the pictures of the tier foreign")
     show = sub.add_parser("table", help="print rates, confusion and reliability")
     show.add_argument("files", type=Path, nargs="+")
     args = parser.parse_args()
@@ -291,7 +320,9 @@ def main() -> None:
         for row in rows:
             if row not in known:
                 parser.error(f"{row}: {TRACES_ONLY.get(row, 'is no row; take of ' + ', '.join(known))}")
-        call = partial(one, tier=args.tier, shrink=args.shrink, fresh=args.fresh)
+        if (args.tier == "foreign") != bool(args.other):
+            parser.error("--other names the program that makes the pictures of the tier foreign, and of no other")
+        call = partial(one, tier=args.tier, shrink=args.shrink, fresh=args.fresh, other=args.other)
         run(call, rows, args.cases, args.seed, args.out / f"{args.tier}-{args.seed}.jsonl", args.workers)
         return
     tell(read(args.files))
