@@ -224,10 +224,15 @@ def value_of(parameter: Parameter, fit: float) -> float:
     return float(max(fit, 0.0) ** (1 / parameter.power)) if parameter.power > 1 else float(fit)
 
 
+CENTRAL, FORWARD = 0.05, 0.01
+"""Steps of differences, in prior sigmas: far below the scale on which the prediction bends, far above its rounding. At
+the fit of a recording by other code the two differ by 2e-5 of a column in the median, by 0.04 for a second surface."""
+
+
 def columns(
     problem: Problem, at: Values, parameters: tuple[Parameter, ...], steps: Mapping[str, float] | None = None
 ) -> Array:
-    """Derivatives of the prediction by value**power, central differences, (n, k).
+    """Derivatives of the prediction by value**power, by differences, (n, k).
 
     Parameters
     ----------
@@ -237,9 +242,9 @@ def columns(
     parameters : tuple of Parameter
         Each is differentiated on its own blocks only.
     steps : mapping, optional
-        Step of the value by name; default 5 % of sigma, which is far below the scale on which the prediction bends and
-        far above its rounding. What has a power is stepped in its value too: widths that add in quadrature are seen at
-        a tenth of a prior sigma, and a step of 5 % of sigma**power would reach to a third of one.
+        Half the step of a central difference by name; default `CENTRAL` at a value of 0, and one step of `FORWARD`
+        elsewhere. What has a power is stepped in its value too: widths that add in quadrature are seen at a tenth of a
+        prior sigma, and a step of 5 % of sigma**power would reach to a third of one.
     """
     return columns_at(problem, [(at, parameters)], steps)[0]
 
@@ -250,26 +255,36 @@ def columns_at(
     steps: Mapping[str, float] | None = None,
 ) -> list[Array]:
     """`columns` at several points, each with parameters of its own; all predictions are asked for at once."""
-    tasks: list[tuple[int, int, int, float, float]] = []
+    tasks: list[tuple[int, int, int, int, int, float]] = []
     values: list[dict[str, float]] = []
     blocks: list[int] = []
+    here: dict[tuple[int, int], int] = {}
+
+    def ask(at: Values, block: int) -> int:
+        values.append(dict(at))
+        blocks.append(block)
+        return len(values) - 1
+
     for i, (at, parameters) in enumerate(points):
         for k, p in enumerate(parameters):
-            middle = at.get(p.name, 0.0)
-            step = (steps or {}).get(p.name, 0.05 * p.sigma)
+            middle, own = at.get(p.name, 0.0), (steps or {}).get(p.name)
+            # Away from 0 one step suffices; at 0 things may appear, a tilted window where there was none.
+            once = own is None and middle != 0.0
+            step = (FORWARD if once else CENTRAL) * p.sigma if own is None else own
+            low, high = (middle if once else middle - step), middle + step
             # A quantity that exists only where it is ≥ 0 is differentiated to the right of 0.
-            ends = (middle - step, middle + step)
-            if (p.one_sided or p.power > 1) and ends[0] < 0:
-                ends = (0.0, 2 * step)
-            width = fit_value(p, ends[1]) - fit_value(p, ends[0])
+            if (p.one_sided or p.power > 1) and low < 0:
+                low, high = 0.0, 2 * step
+            width = fit_value(p, high) - fit_value(p, low)
             for b in range(len(problem.names)) if p.blocks is None else p.blocks:
-                for end, sign in zip(ends, (-1.0, 1.0), strict=True):
-                    values.append({**at, p.name: end})
-                    blocks.append(b)
-                    tasks.append((i, k, b, sign, width))
+                if once and (i, b) not in here:
+                    here[i, b] = ask(at, b)
+                first = here[i, b] if once else ask({**at, p.name: low}, b)
+                tasks.append((i, k, b, first, ask({**at, p.name: high}, b), width))
     out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
-    for (i, k, b, sign, width), predicted in zip(tasks, predictions(problem, values, blocks), strict=True):
-        out[i][problem.rows(b), k] += sign * np.asarray(predicted) / width
+    found = predictions(problem, values, blocks)
+    for i, k, b, first, second, width in tasks:
+        out[i][problem.rows(b), k] = (np.asarray(found[second]) - np.asarray(found[first])) / width
     # Beside a point from which light just hits, a step may find none: no derivative is better than one that is not
     # finite, since steps of fits are taken on exact predictions.
     return [np.where(np.isfinite(j), j, 0.0) for j in out]
