@@ -178,31 +178,30 @@ def _minimise(
     return minimise(residuals, jacobians, tasks, still=_still, steps=steps, renewals=renewals)
 
 
-def _task(context: Context, h: Hypothesis, hyper: tuple[int, int], theta: Array, jacobian: Array) -> Task:
-    problem = context.problem
-    scaled = np.array([p.scaled for p in problem.nuisances], bool)
-    p = len(scaled)
-    precision, slope = list(np.where(scaled, context.scales[hyper[0]], 1.0) ** -2.0), [0.0] * p
-    low, high, unit = [-np.inf] * p, [np.inf] * p, [1.0] * p
+def _prior(context: Context, h: Hypothesis, hyper: tuple[int, int]) -> tuple[Array, Array]:
+    """Precision and slope of −ln prior of all parameters at a setting scale and a field sigma."""
+    scaled = np.array([p.scaled for p in context.problem.nuisances], bool)
+    precision, slope = list(np.where(scaled, context.scales[hyper[0]], 1.0) ** -2.0), [0.0] * len(scaled)
     for a, sigma in zip(h.amplitudes, h.sigmas(h.terms()[hyper[1]].field_sigma), strict=True):
-        kind = evidence.kind(a)
-        precision.append(0.0 if kind == 2 else sigma**-2.0)
-        slope.append(0.5 * sigma**-2.0 if kind == 2 else 0.0)
-        low.append(0.0 if kind else -np.inf)
-        high.append(np.inf)
-        unit.append(a.sigma**a.power)
-    for s in h.shapes:
-        precision.append(0.0)
-        slope.append(0.0)
-        low.append(min(s.grid))
-        high.append(max(s.grid))
-        unit.append(WIDTH * span(s))
-    acts = np.ones((len(problem.data), len(theta)), bool)
-    for k, q in enumerate((*problem.nuisances, *h.amplitudes, *h.shapes)):
-        if q.blocks is not None:
-            acts[:, k] = np.isin(problem.block, q.blocks)
-    least, most, units, inverse, linear = (np.array(v, float) for v in (low, high, unit, precision, slope))
-    return Task(np.clip(theta, least, most), least, most, units, inverse, linear, acts, jacobian)
+        square = evidence.kind(a) == 2
+        precision.append(0.0 if square else sigma**-2.0)
+        slope.append(0.5 * sigma**-2.0 if square else 0.0)
+    nothing = [0.0] * len(h.shapes)
+    return np.array([*precision, *nothing]), np.array([*slope, *nothing])
+
+
+def _task(context: Context, h: Hypothesis, hyper: tuple[int, int], theta: Array, jacobian: Array) -> Task:
+    p = len(context.problem.nuisances)
+    low = np.array([-np.inf] * p + [0.0 if evidence.kind(a) else -np.inf for a in h.amplitudes])
+    low = np.append(low, [min(s.grid) for s in h.shapes])
+    high = np.append(np.full(p + len(h.amplitudes), np.inf), [max(s.grid) for s in h.shapes])
+    unit = [1.0] * p + [a.sigma**a.power for a in h.amplitudes] + [WIDTH * span(s) for s in h.shapes]
+    acts = np.zeros((len(context.problem.names), len(theta)), bool)
+    for k, q in enumerate((*context.problem.nuisances, *h.amplitudes, *h.shapes)):
+        acts[slice(None) if q.blocks is None else list(q.blocks), k] = True
+    inverse, slope = _prior(context, h, hyper)
+    start = np.clip(theta, low, high)
+    return Task(start, low, high, np.array(unit), inverse, slope, acts[context.problem.block], jacobian)
 
 
 def _first_term(h: Hypothesis) -> int:
@@ -298,8 +297,7 @@ def _posterior(context: Context, h: Hypothesis, lin: Linear, columns: Array, cel
     weights = np.exp(cells - logsumexp(cells))
     means, covariances, kept = [], [], []
     for i, j in zip(*np.nonzero(weights > 1e-3), strict=True):
-        task = _task(context, h, (int(i), int(j)), np.zeros(both.shape[1]), both)
-        precision = task.precision.copy()
+        precision, slopes = _prior(context, h, (int(i), int(j)))
         precision[p + k :] = [2 * np.pi / span(s) ** 2 for s in h.shapes]
         # Where power 2 meets data that say nothing, its prior still bounds it.
         squares = [
@@ -308,7 +306,7 @@ def _posterior(context: Context, h: Hypothesis, lin: Linear, columns: Array, cel
         ]
         precision[p : p + k] += 1e-3 * np.array(squares)
         covariance = posterior(both, precision**-0.5, square)
-        means.append(covariance @ (projected - task.slope))
+        means.append(covariance @ (projected - slopes))
         covariances.append(covariance)
         kept.append(weights[i, j])
     w = np.array(kept) / sum(kept)
