@@ -100,6 +100,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         left,
         _further(problem, naming, best, more, left_null, left),
         not best.fit.effects or not more or _with(problem, naming, more[0], modes)[1].acceptable,
+        apart=_apart(problem, naming, prepared, best),
     )
     if best.fit.effects and many:
         findings = _predicted(problem, naming, many, findings, best)
@@ -131,6 +132,9 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     stated = widened(problem, naming.noise.covariance, on, fitted)
     scale = settings.size(naming.setting_scales, on.log_scales)
     found, more_notes = verdict.found(problem, findings, stated, best.hypotheses, lone, scale)
+    if said == "named" and not found:
+        # Something shows, but no name of it may be said.
+        said = "located" if claimed else "unexplained"
     return Judged(said, found, opened, place, on, best, findings, prepared, many, (*notes, *more_notes))
 
 
@@ -149,7 +153,7 @@ def _written(
     """
     assert findings.claim is not None
     lone, opened, effects = findings.claim.lone, findings.claim.classes, best.fit.effects
-    sure = {e for e in lone if verdict.confidence(best.hypotheses.probability([(e,)]), findings) in verdict.CERTAIN}
+    sure = {e for e in lone if verdict.confidence(e, best.hypotheses.probability([(e,)]), findings) in verdict.CERTAIN}
     others = [
         f
         for f in naming.fits
@@ -343,6 +347,24 @@ def _weigh(
     for a, _ in laid:
         best_of.setdefault(a.attachment.name, a)
     return tuple(best_of.values())
+
+
+def _apart(
+    problem: Problem, naming: Naming, prepared: tuple[attachments.Prepared, ...], best: Best
+) -> dict[str, float]:
+    """By how much each of several names beats the best function in its place, beside the others."""
+    fits = {f.effects: f for f in naming.fits if f.converged}
+    out: dict[str, float] = {}
+    for e in best.fit.effects if len(best.fit.effects) > 1 else ():
+        rest = fits.get(tuple(n for n in best.fit.effects if n != e))
+        if rest is None:
+            continue
+        laid = attachments.weigh(problem, naming, prepared, rest)
+        if laid and best.fit.log_evidence - laid[0].log_evidence < verdict.NAMED_MARGIN:
+            laid = _weigh(problem, naming, prepared, rest, best.fit)
+        if laid:
+            out[e] = best.fit.log_evidence - laid[0].log_evidence
+    return out
 
 
 def _left(problem: Problem, naming: Naming, fit: Fit, modes: remainder.Modes) -> remainder.Remainder:

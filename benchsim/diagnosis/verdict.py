@@ -7,7 +7,8 @@ best, though its name is not certain. The verdict speaks of what is left beside 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -98,6 +99,8 @@ class Findings:
     refuted : bool
         Whether the names leave a part that they should have explained, and no element to which it can be put down, so
         that they may stand for something else.
+    apart : mapping of str to float
+        By effect of a claim with several: ln Z of the claim over the best function in that one's place.
     """
 
     null_log_evidence: float
@@ -112,6 +115,7 @@ class Findings:
     predicted: float | None = None
     outdone: float | None = None
     refuted: bool = False
+    apart: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def margin(self) -> float:
@@ -155,12 +159,12 @@ def verdict(findings: Findings, location: Location | None) -> str:
     return "class" if findings.claim.classes else "named"
 
 
-def confidence(probability: float, findings: Findings) -> str | None:
+def confidence(name: str, probability: float, findings: Findings) -> str | None:
     """ "named", "probable", "provisional", or None where it may not be said; of an effect without close rivals."""
-    sound = not findings.refuted
-    if sound and probability >= SURE and findings.margin >= NAMED_MARGIN:
+    sound, margin = not findings.refuted, min(findings.margin, findings.apart.get(name, np.inf))
+    if sound and probability >= SURE and margin >= NAMED_MARGIN:
         return "named"
-    if sound and probability >= LIKELY and findings.margin >= PROBABLE_MARGIN:
+    if sound and probability >= LIKELY and margin >= PROBABLE_MARGIN:
         return "probable"
     return "provisional" if findings.written else None
 
@@ -190,7 +194,7 @@ def found(
     known = {e.name: e for e in (*problem.catalogue, settings.EFFECT)}
     for name in lone:
         probability = hypotheses.probability([(name,)])
-        said = confidence(probability, findings)
+        said = confidence(name, probability, findings)
         if said is None:
             notes.append(f"{name} is suspected, at a probability of {probability:.2f}.")
             continue

@@ -127,12 +127,15 @@ def test_beside_a_function_that_outdoes_it_a_name_is_not_said():
         (0.89, 30.0, {"predicted": 3.0}, "provisional"),
         (0.999, -0.1, {}, None),
         (0.999, -0.1, {"predicted": 9.0}, "provisional"),
+        (0.999, 30.0, {"apart": {"bow": 2.9}}, "probable"),
+        (0.999, 30.0, {"apart": {"bow": -0.1}}, None),
+        (0.999, 30.0, {"apart": {"plume": -0.1}}, "named"),
         (0.999, 30.0, {"refuted": True}, None),
         (0.999, 30.0, {"refuted": True, "predicted": 9.0}, "provisional"),
     ],
 )
 def test_thresholds(probability, margin, also, said):
-    assert confidence(probability, findings(free=(50.0 - margin,), **also)) == said
+    assert confidence("bow", probability, findings(free=(50.0 - margin,), **also)) == said
 
 
 def fit():

@@ -34,13 +34,22 @@ def made():
 
 def test_every_element_has_its_functions(made):
     _, problem, found = made
-    assert sorted(found) == sorted(NAMES)
+    assert sorted(found) == sorted([*NAMES, "time.exposure"])
     assert {a.element for a in found.values()} == {"camera", "screen", "mirror", "air", "source", "time"}
     for a in found.values():
         assert a.basis.shape == (len(problem.data), len(a.knots)) and np.isfinite(a.basis).all()
         assert a.position.shape == (len(problem.data), a.knots.shape[1])
         assert len(a.component) == len(a.knots) and a.sigma > 0 and all(x > 0 for x in a.lengths)
         assert np.abs(a.basis).max() > 0
+
+
+def test_what_light_does_anew_in_every_exposure_moves_no_mark_and_no_other_exposure(made):
+    """A displacement across the trace by 1 mm everywhere in one exposure is 1 in all of its centre line, else 0."""
+    _, problem, found = made
+    a = found["time.exposure"]
+    for b in range(len(problem.names)):
+        moved = a.basis @ (a.component == b)
+        assert moved == pytest.approx(1.0 * ((problem.kind == "c") & (problem.block == b)))
 
 
 @pytest.mark.parametrize("name", NAMES)

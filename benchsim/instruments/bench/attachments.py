@@ -117,7 +117,7 @@ def attachments(predict: Predict) -> tuple[Attachment, ...]:
         out.append(_stage(predict, blocks, 1))
     if len({e.time for e in exposures}) > 1:
         out.append(_time(predict, blocks))
-    return tuple(out)
+    return (*out, _wander(blocks))
 
 
 def local(predict: Predict, index: int) -> Local:
@@ -455,3 +455,18 @@ def _time(predict: Predict, blocks: Sequence[Local]) -> Attachment:
         )
     span = float(np.ptp(axes[0]))
     return _joined("time.time", "time", "mm", axes, 2, 0.5, (span / 12, span / 4, span), parts)
+
+
+def _wander(blocks: Sequence[Local]) -> Attachment:
+    """What light does along a trace, anew in every exposure: no field can state it, and no other exposure knows it."""
+    low, high = (f(f(b.block.observed.s) for b in blocks) for f in (min, max))
+    axis = _spread(low, high, SPACING_MM / 2)
+    k = len(axis)
+    parts = []
+    for i, b in enumerate(blocks):
+        s = b.block.observed.s
+        rows = np.zeros((size(b.block), k * len(blocks)))
+        rows[: len(s), i * k : (i + 1) * k] = tents((axis,), s)
+        parts.append((rows, along(b, s[:, None])))
+    words = "place along the trace, anew in every exposure"
+    return _joined("time.exposure", words, "mm", (axis,), len(blocks), 0.5, (30.0, 60.0, 150.0), parts)
