@@ -339,7 +339,7 @@ def tell(cases: list[dict[str, Any]], *more: str) -> None:
     for tier, own in by.items():
         print(f"== {tier}: {len(own)} cases ==\n")
         parts = [score.table(own), words.confusion(own), words.reliability(own)]
-        if tier == "stressed":
+        if tier in ("stressed", "foreign"):
             parts.insert(0, score.stressed(own))
         print(*parts, sep="\n\n", end="\n\n")
     for text in more:

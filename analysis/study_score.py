@@ -161,7 +161,7 @@ def table(cases: Iterable[Case]) -> str:
 
 
 def stressed(cases: Sequence[Case]) -> str:
-    """Of recordings with a defect that nothing explains: what is said of what is visible besides, and of the rest."""
+    """What is said of what is visible and of the rest, beside a defect that nothing explains or by another program."""
 
     def among(case: Case) -> bool:
         """All that is concealed is named or in a class."""
