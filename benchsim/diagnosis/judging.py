@@ -352,16 +352,20 @@ def _weigh(
 def _apart(
     problem: Problem, naming: Naming, prepared: tuple[attachments.Prepared, ...], best: Best
 ) -> dict[str, float]:
-    """By how much each of several names beats the best function in its place, beside the others."""
+    """By how much each of several names beats, beside the others, the best function of another element in its place.
+
+    A function of its own element says no other thing than the name, only less."""
     fits = {f.effects: f for f in naming.fits if f.converged}
+    element = {e.name: e.element for e in problem.catalogue}
     out: dict[str, float] = {}
     for e in best.fit.effects if len(best.fit.effects) > 1 else ():
         rest = fits.get(tuple(n for n in best.fit.effects if n != e))
         if rest is None:
             continue
-        laid = attachments.weigh(problem, naming, prepared, rest)
+        other = tuple(p for p in prepared if p.attachment.element != element[e])
+        laid = attachments.weigh(problem, naming, other, rest)
         if laid and best.fit.log_evidence - laid[0].log_evidence < verdict.NAMED_MARGIN:
-            laid = _weigh(problem, naming, prepared, rest, best.fit)
+            laid = _weigh(problem, naming, other, rest, best.fit)
         if laid:
             out[e] = best.fit.log_evidence - laid[0].log_evidence
     return out

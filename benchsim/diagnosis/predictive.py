@@ -88,14 +88,16 @@ def function(problem: Problem, many: Sequence[Fold], laid: Attached) -> Model:
 
 
 def gain(many: Sequence[Fold], before: Model, after: Model) -> tuple[float, float]:
-    """By how much left-out χ² falls from one model to another, and its sigma."""
-    total = power = 0.0
+    """By how much left-out χ² falls from one model to another, and its sigma: that of the noise, or, if it is larger,
+    as the folds scatter; what neither model has adds to that and is in no noise."""
+    each, power = [], 0.0
     for k, fold in enumerate(many):
-        total += excess(before.about[k], before.residual[k], fold.test, before.scale[k])
-        total -= excess(after.about[k], after.residual[k], fold.test, after.scale[k])
+        before_it = excess(before.about[k], before.residual[k], fold.test, before.scale[k])
+        each.append(before_it - excess(after.about[k], after.residual[k], fold.test, after.scale[k]))
         shift = before.residual[k] - after.residual[k]
         power += excess(after.about[k], shift, fold.test, after.scale[k]) + int(fold.test.sum())
-    return total, 2.0 * float(np.sqrt(max(power, 0.0)))
+    scatter = float(np.sqrt(len(each)) * np.std(each, ddof=1))
+    return float(np.sum(each)), max(2.0 * float(np.sqrt(max(power, 0.0))), scatter)
 
 
 def simplest(problem: Problem, naming: Naming, many: Sequence[Fold], fits: Sequence[Fit]) -> Fit:

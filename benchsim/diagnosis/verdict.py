@@ -100,7 +100,8 @@ class Findings:
         Whether the names leave a part that they should have explained, and no element to which it can be put down, so
         that they may stand for something else.
     apart : mapping of str to float
-        By effect of a claim with several: ln Z of the claim over the best function in that one's place.
+        By effect of a claim with several: ln Z of the claim over the best function of another element in that one's
+        place.
     """
 
     null_log_evidence: float
