@@ -96,7 +96,6 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         best.fit.log_evidence,
         free,
         more,
-        left_null,
         left,
         _further(problem, naming, best, more, left_null, left),
         not best.fit.effects or not more or _with(problem, naming, more[0], modes)[1].acceptable,

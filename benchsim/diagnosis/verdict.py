@@ -86,8 +86,8 @@ class Findings:
         Attachments laid on the null, the most probable first.
     more : tuple of Attached
         Laid on the claim's best hypothesis; ``free`` where there is none.
-    left_null, left : Remainder
-        What the smooth modes leave under the null, and under the best hypothesis.
+    left : Remainder
+        What the smooth modes leave under the best hypothesis.
     further : tuple of Further
         What a function, and what the smooth modes, could add to the best hypothesis.
     together : bool
@@ -109,7 +109,6 @@ class Findings:
     log_evidence: float
     free: tuple[Attached, ...]
     more: tuple[Attached, ...]
-    left_null: Remainder
     left: Remainder
     further: tuple[Further, ...] = ()
     together: bool = True

@@ -35,7 +35,6 @@ def findings(log_evidence=50.0, free=(10.0,), more=(48.0,), classes=(), further=
         tuple(map(laid, free)),
         tuple(map(laid, more if named else free)),
         GOOD,
-        GOOD,
         tuple(further),
         **also,
     )
