@@ -196,7 +196,9 @@ def found(
         probability = hypotheses.probability([(name,)])
         said = confidence(name, probability, findings)
         if said is None:
-            notes.append(f"{name} is suspected, at a probability of {probability:.2f}.")
+            outdone = min(findings.margin, findings.apart.get(name, np.inf)) < PROBABLE_MARGIN
+            but = " among the catalogue's effects; functions without a name explain more" if outdone else ""
+            notes.append(f"{name} is suspected, at a probability of {probability:.2f}{but}.")
             continue
         effect = known[name]
         size = {settings.SCALE: Size(*scale, "1")} if name == settings.NAME else sizes(effect, fit)
