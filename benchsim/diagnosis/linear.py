@@ -274,7 +274,7 @@ def columns_at(
             low, high = (middle if once else middle - step), middle + step
             # A quantity that exists only where it is ≥ 0 is differentiated to the right of 0.
             if (p.one_sided or p.power > 1) and low < 0:
-                low, high = 0.0, 2 * step
+                low, high, once = 0.0, 2 * step, False
             width = fit_value(p, high) - fit_value(p, low)
             for b in range(len(problem.names)) if p.blocks is None else p.blocks:
                 if once and (i, b) not in here:

@@ -159,9 +159,10 @@ def _possible(rho: Array) -> Array:
         return np.asarray(np.fft.rfft(np.concatenate([r, np.zeros(14 * reach), r[:0:-1]])).real)
 
     for _ in range(_TURNS):
-        if power(rho).min() >= LEAST_POWER:
+        spectrum = power(rho)
+        if spectrum.min() >= LEAST_POWER:
             return rho
-        rho = np.fft.irfft(np.maximum(power(rho), LEAST_POWER))[:reach]
+        rho = np.fft.irfft(np.maximum(spectrum, LEAST_POWER))[:reach]
         rho = rho / rho[0]
     # What the cut at the longest lag brings back.
     least = float(power(rho).min())

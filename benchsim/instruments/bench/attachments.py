@@ -459,8 +459,8 @@ def _time(predict: Predict, blocks: Sequence[Local]) -> Attachment:
 
 def _wander(blocks: Sequence[Local]) -> Attachment:
     """What light does along a trace, anew in every exposure: no field can state it, and no other exposure knows it."""
-    low, high = (f(f(b.block.observed.s) for b in blocks) for f in (min, max))
-    axis = _spread(low, high, SPACING_MM / 2)
+    everywhere = np.concatenate([b.block.observed.s for b in blocks])
+    axis = _spread(float(everywhere.min()), float(everywhere.max()), SPACING_MM / 2)
     k = len(axis)
     parts = []
     for i, b in enumerate(blocks):

@@ -127,9 +127,9 @@ def _plain(values: Array) -> list[Any]:
 
 def _functions(path: Path, session: Session, tables: Any) -> dict[str, Function]:
     """The functions of a file, checked."""
-    known = {f.name: f for f in mount_problem.functions_of(session)}
     if not isinstance(tables, dict):
         raise BenchsimError(f"{path}: fields: is no table of functions; write [fields.NAME] with knots and values")
+    known = {f.name: f for f in mount_problem.functions_of(session)} if tables else {}
     out = {}
     for name, table in tables.items():
         if name not in known or not isinstance(table, dict):
