@@ -192,7 +192,9 @@ def elsewhere(other: str, recording: Recording, folder: Path, seed: int) -> Reco
     return read_recording(made)
 
 
-def photographs_case(row: str, seed: int, case: int, shrink: int, tier: str, other: str) -> Iterator[Part]:
+def photographs_case(
+    row: str, seed: int, case: int, shrink: int, tier: str, other: str, snr: tuple[float, float] | None
+) -> Iterator[Part]:
     """One case of the photographs' tier, of those with a defect (`stress`), or of those by another program; how visible
     the truth is there is read from the pictures that are judged."""
     from benchsim.render.recording import render_recording
@@ -200,7 +202,7 @@ def photographs_case(row: str, seed: int, case: int, shrink: int, tier: str, oth
     rng = rng_of(seed, tier, row, case)
     on = stage(tier, design(row), seed, case, shrink)
     recording = on.recording
-    drawn, values = draw.conceal(row, recording, on.sight, rng)
+    drawn, values = draw.conceal(row, recording, on.sight, rng, snr)
     truth, values = draw.in_pixels(drawn, values, on.sight.problem.catalogue, shrink)
     # Drawn for every row, so that all take the same numbers.
     speckle = float(rng.choice(SPECKLES))
@@ -239,13 +241,15 @@ def photographs_case(row: str, seed: int, case: int, shrink: int, tier: str, oth
         yield diagnosed(without(seen, row, truth), truth)[1]
 
 
-def one(row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int, other: str) -> dict[str, Any]:
+def one(
+    row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int, other: str, snr: tuple[float, float] | None
+) -> dict[str, Any]:
     """A case and the code that judged it; where a complaint ended it, that and what was known by then."""
     line: dict[str, Any] = {"tier": tier, "row": row, "seed": seed, "case": case, "code": code()[:12]}
     parts = (
         traces_case(row, seed, case, fresh)
         if tier == "traces"
-        else photographs_case(row, seed, case, shrink, tier, other)
+        else photographs_case(row, seed, case, shrink, tier, other, snr)
     )
     try:
         for part in parts:
@@ -311,6 +315,11 @@ def main() -> None:
         help="of every Nth case diagnose a fresh recording against what was found and put into the file (traces)",
     )  # fmt: skip
     go.add_argument("--other", default="", help="the program that makes the pictures of the tier foreign")
+    go.add_argument(
+        "--snr", type=lambda text: tuple(map(float, text.split(","))), metavar="LOW,HIGH",
+        help="conceal only what has this SNR in pictures as benchsim would render them (default 6,60, or as near as "
+        "the caps let it come; not traces)",
+    )  # fmt: skip
     show = sub.add_parser("table", help="print rates, confusion and reliability")
     show.add_argument("files", type=Path, nargs="+")
     args = parser.parse_args()
@@ -322,7 +331,7 @@ def main() -> None:
                 parser.error(f"{row}: {TRACES_ONLY.get(row, 'is no row; take of ' + ', '.join(known))}")
         if (args.tier == "foreign") != bool(args.other):
             parser.error("--other names the program that makes the pictures of the tier foreign, and of no other")
-        call = partial(one, tier=args.tier, shrink=args.shrink, fresh=args.fresh, other=args.other)
+        call = partial(one, tier=args.tier, shrink=args.shrink, fresh=args.fresh, other=args.other, snr=args.snr)
         run(call, rows, args.cases, args.seed, args.out / f"{args.tier}-{args.seed}.jsonl", args.workers)
         return
     tell(read(args.files))

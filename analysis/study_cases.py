@@ -22,6 +22,7 @@ from benchsim.diagnosis.classes import CLOSE
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.trial.draws import (
+    SNR,
     STRANGER_ELEMENT,
     STRANGERS,
     as_effects,
@@ -81,16 +82,24 @@ COUNT = {"single": 1, "fig7": 1, "removed": 1, "pair": 2, "fig7-pair": 2}
 """Effects of the catalogue that a case of each row conceals; the other rows conceal none."""
 
 
-def conceal(row: str, recording: Recording, sight: Sight, rng: np.random.Generator) -> tuple[Truth, dict[str, float]]:
-    """Draw what one case conceals; also the parameters of the catalogue's effects, by parameter name."""
-    catalogue = sight.problem.catalogue
+def conceal(
+    row: str, recording: Recording, sight: Sight, rng: np.random.Generator, snr: tuple[float, float] | None = None
+) -> tuple[Truth, dict[str, float]]:
+    """Draw what one case conceals; also the parameters of the catalogue's effects, by parameter name.
+
+    Only effects that reach a given ``snr`` on this bench within their caps are drawn, and with one out of it.
+    """
+    catalogue, wanted = sight.problem.catalogue, COUNT.get(row, 0)
     values: dict[str, float] = {}
     effects: dict[str, dict[str, float]] = {}
-    for i in rng.choice(len(catalogue), COUNT.get(row, 0), replace=False):
+    for i in rng.choice(len(catalogue), wanted if snr is None else len(catalogue), replace=False):
+        if len(effects) == wanted:
+            break
         effect = catalogue[int(i)]
-        drawn = possible(draw_effect(sight, effect, rng), recording)
-        values |= drawn
-        effects |= as_effects(drawn, effect)
+        drawn = possible(draw_effect(sight, effect, rng, snr or SNR), recording)
+        if snr is None or np.linalg.norm(sight.change(drawn)) >= snr[0]:
+            values |= drawn
+            effects |= as_effects(drawn, effect)
     stranger = STRANGERS[int(rng.integers(len(STRANGERS)))] if row == "stranger" else ""
     fields = draw_stranger(stranger, recording, rng) if stranger else {}
     truth = Truth(
