@@ -4,7 +4,7 @@
     python analysis/diagnosis_study.py run photographs --rows clean,single --cases 100 --seed 2 --out out/study
     python analysis/diagnosis_study.py run stressed --rows single,pair,clean --cases 20 --seed 3 --out out/study
     python analysis/diagnosis_study.py run foreign --rows single,clean --cases 12 --seed 4 --other "python other.py"
-    python analysis/diagnosis_study.py table out/study/*.jsonl
+    python analysis/diagnosis_study.py table out/study/*.jsonl          # or analysis/study/*.xz
 
 Pictures of the tier *foreign* are made by a program that is not this project's, called as ``OTHER TRUTH.toml FOLDER
 --seed N``: a bench file to the contract with ``[effects]`` and ``[render]``, which it turns into a recording without
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import lzma
 import os
 import shlex
 import subprocess
@@ -287,10 +288,11 @@ def run(
 
 
 def read(paths: list[Path]) -> list[dict[str, Any]]:
-    """Cases of several files; a line that was cut off by a stop is left out."""
+    """Cases of several files, packed (.xz) or not; a line that was cut off by a stop is left out."""
     out = []
     for path in paths:
-        for line in path.read_text(encoding="utf-8").splitlines():
+        held = path.read_bytes()
+        for line in (lzma.decompress(held) if path.suffix == ".xz" else held).decode().splitlines():
             try:
                 out.append(json.loads(line))
             except json.JSONDecodeError:

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
+import tarfile
+import tempfile
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -20,7 +23,8 @@ from benchsim.bench.writing import write_text
 from benchsim.trial import ledger
 from benchsim.trial.score import KIND_WORDS
 
-KEPT = Path(__file__).resolve().parent / "kept"
+KEPT = Path(__file__).resolve().parent / "kept.tar.xz"
+"""Of the folder ``kept``: truths, verdicts, ledgers, score and page."""
 
 BEGIN, END = "<!-- table: written by 'published.py keep' -->", "<!-- end of table -->"
 
@@ -34,21 +38,35 @@ OUTCOMES = {
 
 
 def keep(folder: Path) -> None:
-    """Copy ledger, truths, verdicts, score and page, of the recordings their ledger; put the tables in the README."""
+    """Pack ledger, truths, verdicts, score and page, of the recordings their ledger; put the tables in the README."""
     trial.verify(folder)
-    shutil.rmtree(KEPT, ignore_errors=True)
-    (KEPT / "recordings").mkdir(parents=True)
-    shutil.copy(folder / "recordings" / ledger.NAME, KEPT / "recordings")
-    for part in ("truth", "verdicts"):
-        shutil.copytree(folder / part, KEPT / part)
-    (KEPT / "truth").chmod(0o755)
-    for name in (ledger.NAME, "score.json", "report.html"):
-        shutil.copy(folder / name, KEPT)
+    parts = (ledger.NAME, f"recordings/{ledger.NAME}", "truth", "verdicts", "score.json", "report.html")
+    packed = KEPT.with_suffix(".part")
+    with tarfile.open(packed, "w:xz", preset=9) as tar:
+        for part in parts:
+            tar.add(folder / part, f"kept/{part}", filter=_readable)
+    packed.replace(KEPT)
     readme = KEPT.with_name("README.md")
     before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
-    score = json.loads((KEPT / "score.json").read_text(encoding="utf-8"))
+    score = json.loads((folder / "score.json").read_text(encoding="utf-8"))
     write_text(readme, before + "\n\n".join([BEGIN, *tables(score), END]) + rest.split(END)[1])
-    print(trial.verify(KEPT, recordings=False).summary())
+    with _unpacked() as kept:
+        print(trial.verify(kept, recordings=False).summary())
+
+
+def _readable(part: tarfile.TarInfo) -> tarfile.TarInfo:
+    # Truths are sealed until a trial is opened.
+    part.mode = 0o755 if part.isdir() else 0o644
+    return part
+
+
+@contextmanager
+def _unpacked() -> Iterator[Path]:
+    """What was kept, in a folder that goes again."""
+    with tempfile.TemporaryDirectory() as folder:
+        with tarfile.open(KEPT) as tar:
+            tar.extractall(folder, filter="data")
+        yield Path(folder) / "kept"
 
 
 def tables(score: dict[str, Any]) -> list[str]:
@@ -96,9 +114,11 @@ def _table(head: list[str], rows: list[list[Any]]) -> str:
 
 def again(folder: Path) -> None:
     """Conceal the same trial from its opened seed, and say which recordings are the same to the byte."""
-    plan = json.loads((KEPT / "truth" / "plan.json").read_text(encoding="utf-8"))
+    with _unpacked() as kept:
+        plan = json.loads((kept / "truth" / "plan.json").read_text(encoding="utf-8"))
+        was = ledger.standing(ledger.read(kept / "recordings" / ledger.NAME)).concealed
     trial.conceal(folder, len(plan["kinds"]), seed=int(plan["seed"], 16), shrink=plan["shrink"], zero=plan["zero"])
-    was, now = (ledger.standing(ledger.read(f / "recordings" / ledger.NAME)).concealed for f in (KEPT, folder))
+    now = ledger.standing(ledger.read(folder / "recordings" / ledger.NAME)).concealed
     same = [case for case in was if was[case]["files"] == now[case]["files"]]
     print(f"{len(same)} of {len(was)} recordings are the same to the byte")
 
