@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from benchsim.trace.shape import Shape
 
@@ -106,13 +106,19 @@ def calm(profiles: Profiles, good: NDArray[np.bool_]) -> Values:
     """The profiles' values pooled over their neighbours, of which ``good`` (k,) count; their own where there are few.
 
     A profile follows its own noise. With weights from itself, pixels that happen to be bright count for less: where
-    noise grows with the light (speckle) lines come out a few per cent too narrow.
+    noise grows with the light (speckle) lines come out a few per cent too narrow. A median, since of a profile whose
+    crest is saturated the flux may be anything: one of four times the flux made a mean a tenth too large, and the shape
+    that was fitted about it 5 % narrower at one end.
     """
-    many = uniform_filter1d(good.astype(float), NEIGHBOURS, mode="constant")
+    side = NEIGHBOURS // 2
+    windows = sliding_window_view(np.pad(good, side), NEIGHBOURS)
+    enough = windows.mean(axis=1) > 0.5
 
     def pooled(own: Array) -> Array:
-        mean = uniform_filter1d(np.where(good, own, 0.0), NEIGHBOURS, mode="constant") / np.maximum(many, 1e-9)
-        return np.where(many > 0.5, mean, own)
+        near = sliding_window_view(np.pad(np.where(good, own, np.nan), side, constant_values=np.nan), NEIGHBOURS)
+        out = own.copy()
+        out[enough] = np.nanmedian(near[enough], axis=1)
+        return out
 
     return Values(*(pooled(v) for v in (profiles.flux, profiles.shift, profiles.stretch, profiles.background)))
 
