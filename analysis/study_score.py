@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from benchsim.trial.rates import judged, wilson
 Case = Mapping[str, Any]
 
 CATALOGUED = ("single", "pair", "fig7", "fig7-pair")
+STRETCHED = ("setting-errors",)
 OUTSIDE = ("removed", "stranger")
 """Rows of cases with something concealed: in the judge's catalogue, and not there."""
 
@@ -47,9 +49,9 @@ def lone_wrong(case: Case) -> bool:
     return bool(set(case["named"]) - set(case["truth"]["effects"]))
 
 
-def said(case: Case) -> bool:
-    """Anything is named, or a class of names is given."""
-    return bool(case["named"] or case["classes"])
+def said(case: Case, beside: Sequence[str] = ()) -> bool:
+    """Anything is named beside some that may be, or a class of names is given."""
+    return bool(set(case["named"]) - set(beside) or case["classes"])
 
 
 def unshared(case: Case, rival: str = "rival") -> bool:
@@ -138,9 +140,12 @@ def table(cases: Iterable[Case]) -> str:
         ("clean-settings", "clean, setting errors × 3", 0.05),
         ("clean-correlated", "clean, correlated noise", 0.05),
     ):
-        group = of.get(key, [])
-        lines.append(row(f"{title}: anything named", group, said, bar, at_least=False))
-        lines.append(row(f"{title}: 'nothing-missing'", group, lambda c: c["verdict"] == "nothing-missing", 1 - bar))
+        group, far = of.get(key, []), key == "clean-settings"
+        # Settings that are further off than stated are what is there.
+        more, or_so = (" beside setting-errors", " or 'setting-errors'") if far else ("", "")
+        alarm = partial(said, beside=STRETCHED if far else ())
+        lines.append(row(f"{title}: anything named{more}", group, alarm, bar, at_least=False))
+        lines.append(row(f"{title}: 'nothing-missing'{or_so}", group, passed if far else quiet, 1 - bar))
     lines += outside([c for key in OUTSIDE for c in of.get(key, [])])
     known = told(every)
     lines += sizes([x for c in known if exact(c) for x in c["parameter_pulls"]])
@@ -160,6 +165,15 @@ def table(cases: Iterable[Case]) -> str:
     return "\n".join([*lines, *silent(of)])
 
 
+def quiet(case: Case) -> bool:
+    return bool(case["verdict"] == "nothing-missing")
+
+
+def passed(case: Case) -> bool:
+    """Nothing is said to be missing but that settings are further off."""
+    return quiet(case) or tuple(case["named"]) == STRETCHED
+
+
 def stressed(cases: Sequence[Case]) -> str:
     """What is said of what is visible and of the rest, beside a defect that nothing explains or by another program."""
 
@@ -167,9 +181,6 @@ def stressed(cases: Sequence[Case]) -> str:
         """All that is concealed is named or in a class."""
         spoken = {x for members in case["classes"] for m in members for x in m} | set(case["named"])
         return set(case["truth"]["effects"]) <= spoken
-
-    def passed(case: Case) -> bool:
-        return case["verdict"] == "nothing-missing" or case["named"] == ["setting-errors"]
 
     lines = []
     for kind in [*dict.fromkeys(c["stress"]["stress"] for c in cases if "stress" in c), ""]:
