@@ -269,7 +269,7 @@ def test_what_was_known_before_an_error_stays_in_the_line(script, monkeypatch):
         raise ValueError("no")
 
     monkeypatch.setattr(study, "traces_case", ends)
-    made = study.one("single", 1, 0, tier="traces", shrink=1, fresh=0, other="")
+    made = study.one("single", 1, 0, tier="traces", shrink=1, fresh=0, other="", snr=None)
     assert made["snr"] == {"canting": 9.0}
     assert made["error"] == "ValueError: no"
     assert "verdict" not in made
