@@ -50,7 +50,7 @@ def keep(folder: Path) -> None:
     before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
     score = json.loads((folder / "score.json").read_text(encoding="utf-8"))
     write_text(readme, before + "\n\n".join([BEGIN, *tables(score), END]) + rest.split(END)[1])
-    with _unpacked() as kept:
+    with unpacked() as kept:
         print(trial.verify(kept, recordings=False).summary())
 
 
@@ -61,7 +61,7 @@ def _readable(part: tarfile.TarInfo) -> tarfile.TarInfo:
 
 
 @contextmanager
-def _unpacked() -> Iterator[Path]:
+def unpacked() -> Iterator[Path]:
     """What was kept, in a folder that goes again."""
     with tempfile.TemporaryDirectory() as folder:
         with tarfile.open(KEPT) as tar:
@@ -114,7 +114,7 @@ def _table(head: list[str], rows: list[list[Any]]) -> str:
 
 def again(folder: Path) -> None:
     """Conceal the same trial from its opened seed, and say which recordings are the same to the byte."""
-    with _unpacked() as kept:
+    with unpacked() as kept:
         plan = json.loads((kept / "truth" / "plan.json").read_text(encoding="utf-8"))
         was = ledger.standing(ledger.read(kept / "recordings" / ledger.NAME)).concealed
     trial.conceal(folder, len(plan["kinds"]), seed=int(plan["seed"], 16), shrink=plan["shrink"], zero=plan["zero"])

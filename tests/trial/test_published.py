@@ -7,7 +7,6 @@ kept.
 
 import importlib.util
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -26,20 +25,25 @@ def published():
     return module
 
 
-def test_the_kept_trial_verifies_without_its_recordings():
-    trial.verify(HERE / "kept", recordings=False)
+@pytest.fixture
+def kept():
+    with published().unpacked() as folder:
+        yield folder
 
 
-def test_one_changed_byte_of_a_kept_verdict_is_seen(tmp_path):
-    copy = shutil.copytree(HERE / "kept", tmp_path / "kept")
-    verdict = next((copy / "verdicts").rglob("diagnosis.json"))
+def test_the_kept_trial_verifies_without_its_recordings(kept):
+    trial.verify(kept, recordings=False)
+
+
+def test_one_changed_byte_of_a_kept_verdict_is_seen(kept):
+    verdict = next((kept / "verdicts").rglob("diagnosis.json"))
     verdict.write_text(verdict.read_text(encoding="utf-8").replace("0.", "1.", 1), encoding="utf-8")
     with pytest.raises(BenchsimError):
-        trial.verify(copy, recordings=False)
+        trial.verify(kept, recordings=False)
 
 
-def test_the_readme_shows_the_score_that_is_kept():
+def test_the_readme_shows_the_score_that_is_kept(kept):
     module = published()
-    score = json.loads((HERE / "kept" / "score.json").read_text(encoding="utf-8"))
+    score = json.loads((kept / "score.json").read_text(encoding="utf-8"))
     shown = (HERE / "README.md").read_text(encoding="utf-8").split(module.BEGIN)[1].split(module.END)[0]
     assert shown.strip() == "\n\n".join(module.tables(score))
