@@ -333,6 +333,8 @@ def main() -> None:
                 parser.error(f"{row}: {TRACES_ONLY.get(row, 'is no row; take of ' + ', '.join(known))}")
         if (args.tier == "foreign") != bool(args.other):
             parser.error("--other names the program that makes the pictures of the tier foreign, and of no other")
+        if args.snr and args.tier == "traces":
+            parser.error("--snr is of the tiers of photographs; leave it out for traces")
         call = partial(one, tier=args.tier, shrink=args.shrink, fresh=args.fresh, other=args.other, snr=args.snr)
         run(call, rows, args.cases, args.seed, args.out / f"{args.tier}-{args.seed}.jsonl", args.workers)
         return

@@ -111,8 +111,7 @@ def calm(profiles: Profiles, good: NDArray[np.bool_]) -> Values:
     that was fitted about it 5 % narrower at one end.
     """
     side = NEIGHBOURS // 2
-    windows = sliding_window_view(np.pad(good, side), NEIGHBOURS)
-    enough = windows.mean(axis=1) > 0.5
+    enough = sliding_window_view(np.pad(good, side), NEIGHBOURS).mean(axis=1) > 0.5
 
     def pooled(own: Array) -> Array:
         near = sliding_window_view(np.pad(np.where(good, own, np.nan), side, constant_values=np.nan), NEIGHBOURS)
