@@ -9,7 +9,7 @@ Predictions are asked for by the thousand. `smooth` therefore traces few rays wh
 one bench of many whose numbers are arrays, so that the elements' own formulas work out all of them in one pass.
 """
 
-from benchsim.rays.camera import board_points, pixel_rays, project, project_board, see, spilled
+from benchsim.rays.camera import board_points, pixel_rays, project, project_board, see
 from benchsim.rays.curve import irradiance, irradiance_profiles, trace_curve
 from benchsim.rays.effects import EFFECTS
 from benchsim.rays.prediction import Case, ghost, predict, predict_many
@@ -27,6 +27,5 @@ __all__ = [
     "project",
     "project_board",
     "see",
-    "spilled",
     "trace_curve",
 ]

@@ -20,7 +20,6 @@ from benchsim.bench.fields import evaluate
 from benchsim.bench.model import Camera, Recording
 from benchsim.bench.place import Placement
 from benchsim.rays import screen
-from benchsim.rays.profile import adaptive
 
 Array = NDArray[np.float64]
 
@@ -172,38 +171,6 @@ def see(
         if "brightness" in fields:
             pixels = pixels + evaluate(fields["brightness"], level).T
     return pixels
-
-
-def spilled(recording: Recording, level: Array, width: Array, step: Array) -> Array:
-    """What blooming adds to the square of a profile's adaptive width [mm²].
-
-    Charge q of a column is carried d = D (q/peak)² pixels, whole ones: to the nearest two in the shares that make d of
-    it. Of a Gaussian profile the centroid moves by D/√3, which is ``sat`` at brightness 1. Its crest runs ahead of its
-    flanks, so that the variance grows while the core may become narrower: what an adaptive width about the centroid
-    (`profile.adaptive`) makes of it is computed, not the variance.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its ``effects`` are honoured.
-    level : (n,) array
-        Brightness relative to the exposure's peak.
-    width : (n,) array
-        Adaptive width without blooming [mm].
-    step : (n,) array
-        How far across the line a pixel along the columns leads [mm].
-    """
-    sat = recording.effects.get("saturation", {}).get("sat", 0.0)
-    n = np.linspace(-5.0, 5.0, 201)
-    share = np.exp(-0.5 * n**2)
-    far = np.sqrt(3) * sat * np.square(level)[:, None] * share**2
-    whole = np.floor(far)
-    part = (far - whole) * share
-    ends = np.concatenate([whole, whole + 1], axis=1) * step[:, None]
-    q = width[:, None] * np.concatenate([n, n]) + ends
-    light = np.concatenate([share - part, part], axis=1)
-    mean = (light * q).sum(axis=1) / light.sum(axis=1)
-    return np.asarray(adaptive(q, light, mean)[1] ** 2 - width**2)
 
 
 def print_places(recording: Recording, nominal: Array) -> Array:

@@ -26,7 +26,7 @@ from benchsim.bench.writing import write_bytes
 from benchsim.render.irradiance import ScreenMap, irradiance
 from benchsim.render.picture import Picture, Pose, photograph
 from benchsim.render.recording import draw_cameras, draw_errors, draw_laser, draw_pose
-from benchsim.render.sensor import RED_LASER, Counts, Image, Signals, arrived, develop, signals
+from benchsim.render.sensor import RED_LASER, Counts, Image, Signals, develop, signals, speckle
 
 Array = NDArray[np.float64]
 
@@ -226,7 +226,7 @@ def _developed(
     h, w = light.room.shape
     fall = np.linspace(1.0, phone.room_fall, w, dtype=np.float32)[None, :] * np.linspace(0.9, 1.0, h)[:, None]
     sensor = replace(camera, bit_depth=16, gamma=1.0, black_level=0.0, saturation_level=65535.0)
-    lit = arrived(light, recording.render, rng)
+    lit = speckle(light.laser, recording.render.speckle_px, rng)
     room = light.room * (fall / fall[h // 2, w // 2]).astype(np.float32)
     planes = [develop(room + np.float32(share) * lit, sensor, recording.render, rng) for share in RED_LASER]
     return np.rint(255 * tone(np.stack(planes, axis=-1), phone)).astype(np.uint8)

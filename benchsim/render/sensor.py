@@ -23,7 +23,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field
 from benchsim.bench.model import Camera, RenderOptions
 from benchsim.bench.writing import write_bytes
-from benchsim.render.charge import carry, displaced, spill
+from benchsim.render.charge import arrived
 from benchsim.render.picture import Picture
 
 Image = NDArray[np.float32]
@@ -46,13 +46,10 @@ class Signals:
     Attributes
     ----------
     laser, room : (rows, columns) float32
-    carry : px
-        How far the charge of the brightest laser light spills toward +v, see `charge`.
     """
 
     laser: Image
     room: Image
-    carry: float = 0.0
 
 
 def signals(
@@ -85,14 +82,8 @@ def signals(
     if not peak > 0:
         raise BenchsimError("the camera sees none of the laser's light; check its position_mm, look_at_mm and focal_px")
     room_level = options.peak_fraction * options.room_fraction / reflectance
-    laser = displaced(laser, fields or {}) * np.float32(options.peak_fraction / peak)
-    return Signals(laser, room * np.float32(room_level), carry(laser, effects or {}))
-
-
-def arrived(light: Signals, options: RenderOptions, rng: np.random.Generator | None) -> Image:
-    """Laser charge as it is read out: speckle, then what spills."""
-    lit = light.laser if rng is None else speckle(light.laser, options.speckle_px, rng)
-    return spill(lit, light.carry, float(light.laser.max()))
+    laser = arrived(laser, effects or {}, fields or {}) * np.float32(options.peak_fraction / peak)
+    return Signals(laser, room * np.float32(room_level))
 
 
 def _blurred(light: Image, blur: float) -> Image:
@@ -103,7 +94,7 @@ def _blurred(light: Image, blur: float) -> Image:
 
 
 def speckle(
-    laser: Image, size: float, rng: np.random.Generator, contrast: float = SPECKLE_CONTRAST, floor: float = 1e-5
+    laser: Image, size: float, rng: np.random.Generator | None, contrast: float = SPECKLE_CONTRAST, floor: float = 1e-5
 ) -> Image:
     """Laser light with speckle: each pixel multiplied by a correlated gamma variate of mean 1.
 
@@ -115,13 +106,14 @@ def speckle(
     laser : (rows, columns) float32
     size : float
         Distance at which the correlation of the underlying Gaussian field has fallen to 1/e [px]; 0 is no speckle.
-    rng : Generator
+    rng : Generator, optional
+        None: no speckle.
     contrast : float
         rms relative to the mean, > 0.
     floor : float
         Light below this fraction of the brightest is left as it is.
     """
-    if size == 0:
+    if size == 0 or rng is None:
         return laser
     # White noise filtered with a Gaussian of rms s has the correlation exp(-d²/4s²).
     s = size / 2
@@ -200,7 +192,7 @@ def expose(
     """
     signal = light.room
     if laser:
-        signal = signal + arrived(light, options, rng)
+        signal = signal + speckle(light.laser, options.speckle_px, rng)
     return develop(signal, camera, options, rng)
 
 
@@ -220,7 +212,7 @@ def expose_colour(
     (rows, columns, 3) ndarray of uint8 or uint16
         Red, green, blue.
     """
-    lit = arrived(light, options, rng)
+    lit = speckle(light.laser, options.speckle_px, rng)
     channels = [develop(light.room + np.float32(share) * lit, camera, options, rng) for share in response]
     return np.stack(channels, axis=-1)
 

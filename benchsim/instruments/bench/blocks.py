@@ -73,15 +73,14 @@ class Block:
 
 
 class Seen(NamedTuple):
-    """A trace as it is measured: (samples, 2) mm, the marks' residuals (m, 2) px, the curve on the true board, what the
-    sensor adds to its squared width, (samples,) or a number [mm²], and by what it is stretched across."""
+    """A trace as it is measured: (samples, 2) mm, the marks' residuals (m, 2) px, the curve on the true board, and by
+    what it is stretched across."""
 
     values: Mapping[str, float]
     block: Block
     points: Array
     residual: Array
     curve: Curve
-    spilled: Array | float
     stretch: Array | float
 
 
@@ -124,7 +123,7 @@ def data(seen: Sequence[Seen]) -> list[Array]:
         if s.curve.aside is not None:
             row[:, 0] = s.curve.aside * s.stretch
         if s.block.shaped:
-            row[:, 1] = across(s.curve, s.block, s.stretch) + s.spilled
+            row[:, 1] = across(s.curve, s.block, s.stretch)
             row[:, 2] = np.log(np.maximum(s.curve.flux * s.stretch, 1e-30))
     profiles = np.stack([s.block.observed.profile_points for s in seen])
     distance, _, at = signed_distances(points, np.concatenate([targets, profiles], axis=1), light)

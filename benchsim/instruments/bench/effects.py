@@ -366,8 +366,8 @@ CATALOGUE: tuple[Entry, ...] = (
         "Charge spills along the columns where the trace is bright.",
         "Expose shorter.",
         "blooming, to second order in the brightness (Janesick 2001, Scientific CCDs)",
-        drawn="Drawn as charge that each pixel passes on along its column by the square of its brightness; no sensor "
-        "is simulated.",
+        drawn="Drawn as a line that is moved along the columns as a whole, by the square of its crest's brightness; no "
+        "sensor is simulated.",
         needs=("gamma",),
     ),
     Entry(

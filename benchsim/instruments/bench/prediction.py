@@ -22,7 +22,7 @@ from benchsim.bench.model import Camera, Recording
 from benchsim.bench.place import SettingErrors
 from benchsim.bench.settings import NAMES, from_vector
 from benchsim.instruments.bench import chain
-from benchsim.instruments.bench.blocks import Block, Seen, across, data, size
+from benchsim.instruments.bench.blocks import Block, Seen, data, size
 from benchsim.rays.curve import tangents
 from benchsim.rays.smooth import left_of
 
@@ -220,20 +220,19 @@ class Predict:
         out: dict[int, Array] = {}
         seen: dict[Any, list[tuple[int, Seen]]] = {}
         measured = self._measured([asked[i] for i, _ in lit], lights)
-        spilled = self._spilled([asked[i] for i, _ in lit], [curve for _, curve in lit], lights, measured)
-        for (i, curve), (points, residual, stretch), more in zip(lit, measured, spilled, strict=True):
+        for (i, curve), (points, residual, stretch) in zip(lit, measured, strict=True):
             if np.isfinite(points).all():
                 b = self.blocks[asked[i].block]
                 o = b.observed
                 alike = len(points), len(o.points), len(o.profile_points), len(o.parting)
-                seen.setdefault(alike, []).append((i, Seen(asked[i].values, b, points, residual, curve, more, stretch)))
+                seen.setdefault(alike, []).append((i, Seen(asked[i].values, b, points, residual, curve, stretch)))
         for members in seen.values():
             for first in range(0, len(members), TOGETHER):
                 some = members[first : first + TOGETHER]
                 out.update(zip((i for i, _ in some), data([s for _, s in some]), strict=True))
         return [out[i] if i in out else np.full(size(self.blocks[a.block]), FAR) for i, a in enumerate(asked)]
 
-    def _measured(self, asked: Sequence[Asked], lights: Sequence[Array], *, stretched: bool = True) -> list[Measured]:
+    def _measured(self, asked: Sequence[Asked], lights: Sequence[Array]) -> list[Measured]:
         """Coordinates in which light at true places of the board is measured, and what the marks show of it.
 
         Light that the same camera sees on the same board is seen at once: what the marks make of the pose is theirs.
@@ -251,7 +250,7 @@ class Predict:
             b, truth = self.blocks[block], asked[members[0]].truth
             # Where width or flux are data, to either side of the line too: what is stretched there is as wide, and as
             # bright in sum, as it is stretched.
-            aside = (0.0, ASIDE, -ASIDE) if b.shaped and stretched else (0.0,)
+            aside = (0.0, ASIDE, -ASIDE) if b.shaped else (0.0,)
             beside = [lights[i] + h * left_of(tangents(lights[i])) if h else lights[i] for i in members for h in aside]
             level = np.concatenate([self._level(b, len(light)) for light in beside])
             points, residual = chain.measured(truth, b.observed.view, np.concatenate(beside), level, camera)
@@ -266,35 +265,6 @@ class Predict:
 
     def _level(self, b: Block, n: int) -> Array:
         return np.asarray(np.interp(np.linspace(0, 1, n), np.linspace(0, 1, len(b.level)), b.level))
-
-    def _spilled(
-        self, asked: Sequence[Asked], curves: Sequence[Curve], lights: Sequence[Array], measured: Sequence[Measured]
-    ) -> list[Array | float]:
-        """What blooming adds to the squared width [mm²]: along the columns, so far as they cross the trace."""
-        out: list[Array | float] = [0.0] * len(asked)
-        wanted: list[int] = []
-        without: dict[int, Recording] = {}
-        for i, a in enumerate(asked):
-            effects = a.truth.effects
-            blooms = self.blocks[a.block].shaped and effects.get("saturation", {}).get("sat", 0.0)
-            if blooms and np.isfinite(measured[i].points).all():
-                wanted.append(i)
-                if id(a.truth) not in without:
-                    others = {name: own for name, own in effects.items() if name != "saturation"}
-                    without[id(a.truth)] = replace(a.truth, effects=others)
-        plain = self._measured(
-            [asked[i]._replace(truth=without[id(asked[i].truth)]) for i in wanted],
-            [lights[i] for i in wanted],
-            stretched=False,
-        )
-        for i, (points, _, _) in zip(wanted, plain, strict=True):
-            a = asked[i]
-            sat, level = a.truth.effects["saturation"]["sat"], self._level(self.blocks[a.block], len(points))
-            moved = ((measured[i].points - points) * left_of(tangents(points))).sum(axis=1)
-            per_px = moved / (sat * np.maximum(level, 1e-3) ** 2)
-            wide = across(curves[i], self.blocks[a.block], measured[i].stretch)
-            out[i] = rays.spilled(a.truth, level, np.sqrt(wide), per_px)
-        return out
 
     def truth(self, values: Mapping[str, float]) -> Recording:
         """The bench with the hypothesis' effects added to the file's, and the laser's nuisances."""
