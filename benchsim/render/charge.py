@@ -40,7 +40,7 @@ def level(laser: Image, window: float = 3.0) -> Array:
     core = (q > 0.9 * crest) & (crest > 0)
     crest = gaussian_filter(core * crest, window) / np.maximum(gaussian_filter(core.astype(float), window), 1e-60)
     nearest = distance_transform_edt(~core, return_distances=False, return_indices=True)
-    return np.asarray(crest[tuple(nearest)] / crest.flat[int(laser.argmax())])
+    return np.asarray(gaussian_filter(crest[tuple(nearest)], 0.5 * window) / crest.flat[int(laser.argmax())])
 
 
 def arrived(laser: Image, effects: Effects, fields: Mapping[str, Field]) -> Image:
