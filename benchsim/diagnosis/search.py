@@ -253,14 +253,13 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
         many = _places(s, parent, [new])[new][:VALLEYS]
         if (new,) in s.done and len(effects) > 1:
             many = [*many, _of(s, s.done[(new,)], new)]
-        if parent is s.stated and new in s.bending:
-            many = [*many, *_either(s, new)]
         for place in many:
             point = _point(s, h, parent.point.nuisance, {**kept, new: place})
             out.append(Start(h, point, parent.columns[:, :p], _scale(s, parent)))
-        if len(effects) > 1 and strayed(s.context, parent):
-            point = _point(s, h, np.zeros(p), {**kept, new: many[-1]})
-            out.append(Start(h, point, s.stated.columns[:, :p]))
+        if parent is s.stated or (len(effects) > 1 and strayed(s.context, parent)):
+            anew = _either(s, h, kept, new) if new in s.bending else many[-1:] if kept else []
+            for place in anew:
+                out.append(Start(h, _point(s, h, np.zeros(p), {**kept, new: place}), s.stated.columns[:, :p]))
     for above in (x for x in s.done.values() if len(x.fit.effects) == len(effects) + 1 and not misses(x)):
         if set(effects) < set(above.fit.effects):
             point = _point(s, h, above.point.nuisance, {e: _of(s, above, e) for e in effects})
@@ -269,20 +268,21 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
     return out
 
 
-def _either(s: Search, name: str) -> list[Place]:
+def _either(s: Search, h: Hypothesis, kept: Mapping[str, Place], name: str) -> list[Place]:
     """Amplitudes of either sign from which a fit of what acts by its square begins at the stated settings.
 
-    Those whose predictions, settings integrated to first order, leave least: a small coma leads to none of 2 sigma.
+    Those whose predictions beside what is kept, settings integrated to first order, leave least: a small coma leads to
+    none of 2 sigma.
     """
     own = evidence.amplitudes(s.catalogue.effects[name])
     sides = [(1.0,) if evidence.kind(a) else (-1.0, 1.0) for a in own]
     unit = np.array([a.sigma**a.power for a in own])
-    many = [size * np.array(signs) * unit for size in SIZES for signs in product(*sides)]
-    h, p = s.hypothesis((name,)), np.zeros(len(s.context.problem.nuisances))
-    asked = [values(s.context.problem, h, Point(p, q, np.zeros(0))) for q in many]
+    many = [Place(0.0, size * np.array(signs) * unit, np.zeros(0)) for size in SIZES for signs in product(*sides)]
+    p = np.zeros(len(s.context.problem.nuisances))
+    asked = [values(s.context.problem, h, _point(s, h, p, {**kept, name: place})) for place in many]
     left = s.context.whiten(s.context.problem.data[:, None] - np.column_stack(s.context.predict(asked)))
     chi2 = np.diag(linear.marginal(s.stated.fit.linear, left, s.done[()].fit.setting_scale).gram)
-    return [Place(0.0, many[i], np.zeros(0)) for i in np.argsort(chi2) if np.isfinite(chi2[i])][:VALLEYS]
+    return [many[i] for i in np.argsort(chi2) if np.isfinite(chi2[i])][:VALLEYS]
 
 
 def _scale(s: Search, solved: Solved) -> int:

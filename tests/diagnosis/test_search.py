@@ -97,6 +97,28 @@ def test_what_widens_as_its_square_is_found_with_its_sign(t, lean):
     assert fit.effects == (("lean", "twist") if lean else ("twist",)) and holds(fit, truth)
 
 
+def hidden(values, block):
+    """Widths that answer to two sizes by their squares, and to the beam of each exposure, which is set by hand."""
+    (y, w), b = np.split(predict(values, block), 2), values.get(f"beam{block}", 0.0)
+    t, u = (values.get(n, 0.0) for n in ("t", "u"))
+    wide = (w + b) ** 2 + (t + 0.5 * b * X) ** 2 * (1.5 + X) + (u + b * X**2) ** 2 * (1.5 - X)
+    return np.concatenate([y + 0.02 * (t + b) * X**3, np.sqrt(wide)])
+
+
+@pytest.mark.parametrize("beam", [-0.2, 0.2])
+@pytest.mark.parametrize(("t", "u"), [(-1.0, -1.0), (-1.0, 1.0), (-0.5, -0.4), (0.5, -1.0), (1.0, 0.4)])
+def test_what_widens_as_its_square_is_found_beside_what_shows_more_and_beams_that_would_hide_it(t, u, beam):
+    """Scenario: a lean of 75 sigma and beams that are off by two of theirs: a fit of the lean alone bends the beams,
+    about which the twist has another sign."""
+    twist = Effect("twist", "source", (Parameter("t", "1", 1.0), Parameter("u", "1", 1.0)))
+    made = problem({}, (LEAN, HAZE, twist), hidden)
+    beams = tuple(Parameter(f"beam{b}", "1", 0.1, scaled=True, blocks=(b,)) for b in range(2))
+    made, truth = replace(made, nuisances=made.nuisances + beams), {"t": t, "u": u, "l": 0.5}
+    noise = NOISE * np.random.default_rng(0).standard_normal(len(made.data))
+    fit = best_of(replace(made, data=predict_all(made, truth | {"beam0": beam, "beam1": -0.5 * beam}) + noise))
+    assert fit.effects == ("lean", "twist") and holds(fit, truth)
+
+
 def bumped(values, block):
     return np.tile(values.get("a", 0.0) * np.exp(-8 * (X - values.get("place", 0.0)) ** 2), 2) + predict(values, block)
 
