@@ -171,6 +171,10 @@ class Weighed:
         z = {h: np.exp(v - top) for h, v in self.log_evidence.items()}
         return float(sum(p for h, p in z.items() if any(w <= set(h) for w in wanted)) / sum(z.values()))
 
+    def present(self, names: Iterable[str]) -> dict[str, float]:
+        """Of each effect, that it is there."""
+        return {n: self.probability([(n,)]) for n in names}
+
 
 def weighed(naming: Naming, stated: bool) -> Weighed:
     """Gather the evidence; an unconverged fit is left out together with its linear value: nothing may rest on it.

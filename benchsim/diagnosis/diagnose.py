@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from benchsim.diagnosis import attachments, classes, following, held_out, laws, limits
+from benchsim.diagnosis import attachments, classes, following, held_out, laws, limits, settings
 from benchsim.diagnosis.attachments import Attached
 from benchsim.diagnosis.fits import Effects, Fit, Naming
 from benchsim.diagnosis.following import Alive
@@ -88,6 +88,7 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
     residuals = _residuals(problem, naming, on, laid, shown, sigma)
     first = next((k for k in ("c", *seen.noise.scale) if k in seen.noise.scale), None)
     notes += _remarks(problem, seen, findings)
+    known = [e.name for e in problem.catalogue] + [settings.NAME] * bool(problem.stated)
     tell("done", 1.0)
     return Diagnosis(
         verdict=said,
@@ -103,7 +104,7 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
         sigma_scale=float(seen.noise.scale[first]) if first else 1.0,
         correlation=float(seen.noise.correlation.get(first, 0.0)) if first else 0.0,
         setting_scale=on.setting_scale,
-        probability=naming.probability,
+        probability=best.hypotheses.present(known),
         values=dict(on.values),
         residuals=residuals,
         notes=tuple(notes),

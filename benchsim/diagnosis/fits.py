@@ -92,8 +92,6 @@ class Naming:
     screened : tuple of (Effects, float, Effects)
         Every single and pair, and what grew from them, with ln Z (on the scale of ``Fit.log_evidence``) and the effects
         of the fit about which it was weighed, most probable first.
-    probability : mapping of str to float
-        Of each effect of the catalogue to be present.
     linear : Linear
         About the null's fit: nuisances, and the amplitudes of the whole catalogue.
     noise : Noise
@@ -104,7 +102,6 @@ class Naming:
     null: Fit
     fits: tuple[Fit, ...]
     screened: tuple[tuple[Effects, float, Effects], ...]
-    probability: Mapping[str, float]
     linear: Linear
     noise: Noise
     setting_scales: Array

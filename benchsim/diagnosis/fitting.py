@@ -65,7 +65,7 @@ class Start:
 def excess(white: Array) -> float:
     """By how much −ln likelihood lies above three sigma of what noise gives."""
     n = len(white)
-    return max(0.0, 0.5 * float(white @ white) - 0.5 * n - 1.5 * np.sqrt(2 * n))
+    return max(0.0, 0.5 * float(white @ white) - 0.5 * n - 1.5 * float(np.sqrt(2 * n)))
 
 
 def misses(solved: Solved) -> bool:
@@ -105,6 +105,7 @@ def fitted(
     hypers = [(s.scale, _first_term(s.hypothesis)) for s in starts]
     jacobians = [-np.column_stack([s.nuisance, context.whiten(j)]) for s, j in zip(starts, own, strict=True)]
     thetas = [theta_of(s.point) for s in starts]
+    weighed: list[Array] = [np.zeros((0, 0))] * len(starts)
     moved = list(range(len(starts)))
     for _ in range(1 + AGAIN):
         tasks = [_task(context, starts[i].hypothesis, hypers[i], thetas[i], jacobians[i]) for i in moved]
@@ -112,7 +113,7 @@ def fitted(
         again = []
         for i, end in zip(moved, found, strict=True):
             ends[i] = end
-            cells = _cells(context, starts[i].hypothesis, end)
+            cells = weighed[i] = _cells(context, starts[i].hypothesis, end)
             now = _choose(cells)
             # Between two neighbours on the grid that are as probable the choice could swing for ever.
             if now != hypers[i] and np.isfinite(end.cost) and cells[now] > cells[hypers[i]] + STILL:
@@ -122,8 +123,8 @@ def fitted(
         if not moved:
             break
     return [
-        _solved(context, s.hypothesis, end, hyper, log_prior[s.hypothesis.names])
-        for s, end, hyper in zip(starts, ends, hypers, strict=True)
+        _solved(context, s.hypothesis, end, hyper, cells, log_prior[s.hypothesis.names])
+        for s, end, hyper, cells in zip(starts, ends, hypers, weighed, strict=True)
         if end is not None
     ]
 
@@ -135,7 +136,7 @@ def as_it_stands(context: Context, h: Hypothesis, point: Point, nuisance: Array)
     residual = context.whiten(context.problem.data - prediction)
     jacobian = -context.whiten(np.column_stack([nuisance, own]))
     end = Solution(theta_of(point), residual, jacobian, float(0.5 * residual @ residual), np.inf, False, True)
-    return _solved(context, h, end, (0, _first_term(h)), 0.0)
+    return _solved(context, h, end, (0, _first_term(h)), _cells(context, h, end), 0.0)
 
 
 def theta_of(point: Point) -> Array:
@@ -246,12 +247,13 @@ def _choose(cells: Array) -> tuple[int, int]:
     return scale, int(np.argmax(cells[scale]))
 
 
-def _solved(context: Context, h: Hypothesis, end: Solution, hyper: tuple[int, int], log_prior: float) -> Solved:
+def _solved(
+    context: Context, h: Hypothesis, end: Solution, hyper: tuple[int, int], cells: Array, log_prior: float
+) -> Solved:
     problem, p = context.problem, len(context.problem.nuisances)
     point = point_of(context, h, end.theta)
     lin = about(context, h, end)
     columns = -end.jacobian[:, p:]
-    cells = _cells(context, h, end)
     covariance = _posterior(context, h, lin, columns, cells)
     at = values(problem, h, point)
     sd = np.sqrt(np.diag(covariance))
@@ -312,4 +314,4 @@ def _posterior(context: Context, h: Hypothesis, lin: Linear, columns: Array, cel
     w = np.array(kept) / sum(kept)
     mean = np.einsum("i,ij->j", w, np.array(means))
     away = np.array(means) - mean
-    return np.einsum("i,ijk->jk", w, np.array(covariances)) + np.einsum("i,ij,ik->jk", w, away, away)
+    return np.asarray(np.einsum("i,ijk->jk", w, np.array(covariances)) + np.einsum("i,ij,ik->jk", w, away, away))

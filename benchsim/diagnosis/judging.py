@@ -125,7 +125,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         if said in ("named", "class"):
             said = "class" if opened else "named"
     elif said == "nothing-missing":
-        opened = _doubted(problem, naming, best.hypotheses)
+        opened = _doubted(problem, best.hypotheses)
         said = "class" if opened else said
     fitted = [e for e in lone if e != settings.NAME] if any(f is on for f in naming.fits) else []
     stated = widened(problem, naming.noise.covariance, on, fitted)
@@ -249,16 +249,17 @@ def _besides(
 ) -> tuple[tuple[Effects, ...], ...]:
     """Whether one more effect is there than what is stated, where that is more likely than not, but not `LIKELY`."""
     spoken = {*lone, settings.NAME} | {e for members in opened for m in members for e in m}
-    others = {e: best.hypotheses.probability([(e,)]) for e in best.space.index if e not in spoken}
+    others = best.hypotheses.present(e for e in best.space.index if e not in spoken)
     more = max(others, key=lambda e: others[e], default="")
     return (((more,), ()),) if more and others[more] >= verdict.SUSPECTED else ()
 
 
-def _doubted(problem: Problem, naming: Naming, hypotheses: Weighed) -> tuple[tuple[Effects, ...], ...]:
+def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...], ...]:
     """Alternatives to nothing, where nothing is best but may not be said: settings, or an effect that is suspected."""
     suspects: list[Effects] = []
-    name, p = max(naming.probability.items(), key=lambda item: item[1], default=("", 0.0))
-    if p >= verdict.SUSPECTED and name != settings.NAME:
+    p = hypotheses.present(e.name for e in problem.catalogue)
+    name = max(p, key=lambda e: p[e], default="")
+    if name and p[name] >= verdict.SUSPECTED:
         suspects.append((name,))
     if problem.stated and hypotheses.probability([(settings.NAME,)]) >= verdict.UNSURE:
         suspects.append((settings.NAME,))

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, linear, noise, screen, settings
 from benchsim.diagnosis.attachments import smooth_functions
@@ -127,25 +126,8 @@ def _moved(before: Noise, after: Noise) -> bool:
 
 def _naming(problem: Problem, seen: Search, found: Noise) -> Naming:
     """Put the result together."""
-    listed = list(seen.log_z)
-    z = np.array([seen.log_z[e] for e in listed])
-    share = np.exp(z - logsumexp(z))
-    probability = {n: float(sum(s for e, s in zip(listed, share, strict=True) if n in e)) for n in seen.names}
-    if problem.stated:
-        probability[settings.NAME] = _stretched(seen)
     fits: list[Fit] = sorted((s.fit for s in seen.done.values()), key=lambda f: (not f.converged, -f.log_evidence))
     screened = sorted(((e, v, seen.source[e]) for e, v in seen.log_z.items() if e), key=lambda item: -item[1])
     null = seen.done[()]
-    linear = whole(seen.context, seen.catalogue, null)
-    return Naming(null.fit, tuple(fits), tuple(screened), probability, linear, found, *settings.grid())
-
-
-def _stretched(seen: Search) -> float:
-    """P(the settings are further off than `settings.BEYOND` times what is stated)."""
-    z, far = [], []
-    for effects, value in seen.log_z.items():
-        fit = seen.done[seen.source[effects]].fit
-        near, beyond = settings.parted(seen.context.scales, fit.log_scales)
-        z.append(value)
-        far.append(value + beyond - np.logaddexp(near, beyond))
-    return float(np.exp(logsumexp(far) - logsumexp(z)))
+    linear = whole(problem, seen.catalogue, seen.white, null)
+    return Naming(null.fit, tuple(fits), tuple(screened), linear, found, *settings.grid())

@@ -10,9 +10,9 @@ from scipy.ndimage import minimum_filter
 
 from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.attachments import absorb
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Solved
+from benchsim.diagnosis.hypothesis import Hypothesis, Solved
 from benchsim.diagnosis.linear import Linear
-from benchsim.diagnosis.problem import Effect
+from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.screen import Catalogue
 
 Array = NDArray[np.float64]
@@ -57,10 +57,11 @@ def valleys(effect: Effect, gram: Array, projection: Array) -> list[tuple[float,
 
     def cost(value: Array) -> Array:
         w = answer(value)
-        return 0.5 * np.einsum("...i,ij,...j", w, gram, w) - w @ projection + 0.5 * (value**2).sum(axis=-1)
+        return np.asarray(0.5 * np.einsum("...i,ij,...j", w, gram, w) - w @ projection + 0.5 * (value**2).sum(axis=-1))
 
     def slopes(value: Array) -> Array:
-        return np.vstack([np.eye(k), np.diag((value * sigma) ** power)]) * (unit * np.where(power == 2, 2 * value, 1.0))
+        rise: Array = np.vstack([np.eye(k), np.diag((value * sigma) ** power)])
+        return np.asarray(rise * (unit * np.where(power == 2, 2 * value, 1.0)))
 
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     height = cost(mesh)
@@ -107,13 +108,12 @@ def unseen(h: Hypothesis, solved: Solved) -> set[str]:
     return found
 
 
-def whole(context: Context, catalogue: Catalogue, solved: Solved) -> Linear:
-    """About a fit: the amplitudes of the whole catalogue, shapes at their most probable node."""
+def whole(problem: Problem, catalogue: Catalogue, white: Array, solved: Solved) -> Linear:
+    """About a fit: the amplitudes of the whole catalogue (its columns whitened), shapes at their most probable node."""
     names: list[str] = []
     columns: list[int] = []
-    white = context.whiten(catalogue.columns)
-    m = linear.marginal(absorb(context.problem, solved.fit.linear), white, solved.fit.setting_scale)
-    for effect in context.problem.catalogue:
+    m = linear.marginal(absorb(problem, solved.fit.linear), white, solved.fit.setting_scale)
+    for effect in problem.catalogue:
         prior = np.diag([p.sigma ** (-2.0 * p.power) for p in evidence.amplitudes(effect)])
         gains = []
         for at in (list(n.columns) for n in catalogue.nodes[effect.name]):

@@ -67,7 +67,7 @@ def _grid_weights(values: tuple[float, ...]) -> Array:
     gaps = np.diff(at[order])
     weights = np.empty(len(at))
     weights[order] = (np.append(gaps, 0) + np.insert(gaps, 0, 0)) / 2
-    return weights / weights.sum()
+    return np.asarray(weights / weights.sum())
 
 
 def expand(problem: Problem, at: Values) -> Catalogue:

@@ -196,7 +196,7 @@ def _rivals(s: Search, best: Solved) -> list[Effects]:
     own = best.fit.effects
     if not own or misses(best):
         return []
-    about = whole(s.context, s.catalogue, best)
+    about = whole(s.context.problem, s.catalogue, s.white, best)
     within = classes.space(s.context.problem, classes.about(about, best.fit), best.fit.setting_scale)
     signal = classes.amplitude_vector(s.context.problem, about.names, best.fit)
     near: dict[Effects, float] = {}

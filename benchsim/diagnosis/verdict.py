@@ -130,6 +130,10 @@ class Findings:
         patch = patch or (function > alone and joint - function < NEEDED * (alone - self.null_log_evidence))
         return (alone if patch else joint) - function
 
+    def lead(self, name: str) -> float:
+        """ln Z of an effect of the claim over the best function, and over those in its place."""
+        return min(self.margin, self.apart.get(name, np.inf))
+
     @property
     def stands(self) -> bool:
         """The names explain the data at least as well as the best function: by ln Z, or on settings left out, where a
@@ -161,7 +165,7 @@ def verdict(findings: Findings, location: Location | None) -> str:
 
 def confidence(name: str, probability: float, findings: Findings) -> str | None:
     """ "named", "probable", "provisional", or None where it may not be said; of an effect without close rivals."""
-    sound, margin = not findings.refuted, min(findings.margin, findings.apart.get(name, np.inf))
+    sound, margin = not findings.refuted, findings.lead(name)
     if sound and probability >= SURE and margin >= NAMED_MARGIN:
         return "named"
     if sound and probability >= LIKELY and margin >= PROBABLE_MARGIN:
@@ -196,7 +200,7 @@ def found(
         probability = hypotheses.probability([(name,)])
         said = confidence(name, probability, findings)
         if said is None:
-            outdone = min(findings.margin, findings.apart.get(name, np.inf)) < PROBABLE_MARGIN
+            outdone = findings.lead(name) < PROBABLE_MARGIN
             but = " among the catalogue's effects; functions without a name explain more" if outdone else ""
             notes.append(f"{name} is suspected, at a probability of {probability:.2f}{but}.")
             continue

@@ -9,20 +9,25 @@ import lines
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import linear, name, settings
+from benchsim.diagnosis import classes, linear, name, settings
 from benchsim.diagnosis.problem import Problem
 
 AMPLITUDES = [p for e in lines.CATALOGUE for p in e.parameters if not p.grid]
 SURE = 0.99
 
 
+def probability(found):
+    names = [e.name for e in lines.CATALOGUE]
+    return classes.weighed(found, True).present([*names, settings.NAME])
+
+
 def sure(found):
     """Effects beyond doubt; what is said of the settings is `scaled`."""
-    return {k for k, v in found.probability.items() if v > SURE and k != settings.NAME}
+    return {k for k, v in probability(found).items() if v > SURE and k != settings.NAME}
 
 
 def scaled(found):
-    return found.probability[settings.NAME]
+    return probability(found)[settings.NAME]
 
 
 def drawn(effect, snr, rng, gram):
@@ -55,7 +60,7 @@ def test_clean_sets_are_named_nothing(sets, most):
         found = name(lines.problem(seed=seed)[0])
         wrong += bool(sure(found))
         unconverged += not found.null.converged
-        told += max(p for k, p in found.probability.items() if k != settings.NAME)
+        told += max(p for k, p in probability(found).items() if k != settings.NAME)
     assert wrong <= most
     assert unconverged == 0
     assert told / sets < 0.1
@@ -145,7 +150,7 @@ def test_what_a_naming_holds():
 
 def test_the_same_data_give_the_same_naming():
     first, second = (name(lines.problem({"turn": 0.1}, seed=9)[0]) for _ in range(2))
-    assert first.probability == second.probability
+    assert first.screened == second.screened
 
 
 def test_predictions_are_counted_on():
