@@ -263,9 +263,15 @@ Processes = Annotated[
 ]
 
 
-@trial_app.command("conceal")
-def trial_conceal(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for recordings/ and truth/.")] = Path("trial"),
+@trial_app.command(
+    "run", help="A whole trial: conceal, judge in a process of its own, open, verify; a stopped one goes on."
+)
+@trial_app.command("conceal", help="Draw benches, conceal effects in them, photograph them, and commit to the truth.")
+def trial_begin(
+    command: typer.Context,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for recordings/ and truth/, and in a run verdicts/.")
+    ] = Path("trial"),
     cases: Cases = 60,
     seed: TrialSeed = None,
     shrink: Shrink = 2,
@@ -274,11 +280,12 @@ def trial_conceal(
     workers: Processes = None,
     json: Json = False,
 ) -> None:
-    """Draw benches, conceal effects in them, photograph them, and commit to the truth."""
+    """Begin a trial: its first step alone, or all of it; both draw the same cases, by the same options."""
     from benchsim import trial
 
+    job = trial.run if command.info_name == "run" else trial.conceal
     _do(
-        trial.conceal, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, scheduler=scheduler,
+        job, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, scheduler=scheduler,
         workers=workers,
     )  # fmt: skip
 
@@ -327,26 +334,6 @@ def trial_verify(
     from benchsim import trial
 
     _do(trial.verify, json, folder=folder, published=published, recordings=recordings)
-
-
-@trial_app.command("run")
-def trial_run(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the trial.")] = Path("trial"),
-    cases: Cases = 60,
-    seed: TrialSeed = None,
-    shrink: Shrink = 2,
-    zero: Zero = False,
-    scheduler: Scheduler = None,
-    workers: Processes = None,
-    json: Json = False,
-) -> None:
-    """A whole trial: conceal, judge in a process of its own, open, verify; a stopped one goes on."""
-    from benchsim import trial
-
-    _do(
-        trial.run, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, scheduler=scheduler,
-        workers=workers,
-    )  # fmt: skip
 
 
 @app.command()

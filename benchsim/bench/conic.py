@@ -167,7 +167,7 @@ def geometry(coefficients: ArrayLike) -> ConicGeometry:
         asymptotes = np.stack([np.cos(half) * et + np.sin(half) * ec, np.cos(half) * et - np.sin(half) * ec], axis=-2)
     none = np.where(real, 1.0, np.nan)
 
-    def out(v: NDArray) -> Array:
+    def out(v: ArrayLike) -> Array:
         return np.asarray(v, np.float64)
 
     return ConicGeometry(
@@ -226,7 +226,7 @@ def normalise(coefficients: ArrayLike) -> Array:
     c = np.asarray(coefficients, float)
     norm = np.linalg.norm(c, axis=-1, keepdims=True)
     sign = np.where(c[..., :1] + c[..., 2:3] < 0, -1.0, 1.0)
-    return sign * c / np.where(norm > 0, norm, 1.0)
+    return np.asarray(sign * c / np.where(norm > 0, norm, 1.0))
 
 
 def transform_matrix(linear: ArrayLike, shift: ArrayLike = (0.0, 0.0)) -> Array:

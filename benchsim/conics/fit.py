@@ -34,77 +34,22 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.conics import solve
 from benchsim.conics.data import Frame, check_common, check_covariance, check_points, whitening
 from benchsim.conics.distance import foot_points
+from benchsim.conics.fitted import Fitted
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ConicFit:
-    """A conic with its uncertainty.
+@dataclass(frozen=True, kw_only=True)
+class ConicFit(Fitted):
+    """A conic fitted to points alone; all of them are ``used``, unless ``robust``.
 
     Attributes
     ----------
-    coefficients : (6,) ndarray
-        A … F in ``frame``, unit Euclidean norm.
-    covariance : (6, 6) ndarray
-        Of the coefficients, rank 5 (their length is fixed); rank 3 if ``shallow``.
-    frame : Frame
-    points : (n, 2) ndarray [mm]
-        As given.
-    feet : (n, 2) ndarray [mm]
-        The points' most likely places on the curve.
-    residual : (n,) ndarray
-        Distance of the points from the curve [their sigma]; of unknown sigma: [the estimated sigma].
-    curve_sigma : (n,) ndarray [mm]
-        1 sigma of the curve along its normal at the feet.
-    chi2 : float
-        Of the points used, with the common errors' own; equals ``dof`` where sigma was estimated.
-    dof : int
-    sigma_estimated : bool
-        No covariance was given: sigma comes from the residuals and intervals are Student's.
     sigma : float [mm]
         The estimated sigma; nan if it was given.
-    straight : bool
-        A straight line fits within the noise: a parabola is not better at the 1 % level.
-    shallow : bool
-        The arc is straight, or so shallow that every conic through it has a second sheet within the noise, where a
-        point does not know its side. The curve is then a parabola w = α + β u + γ u² of the frame and no invariant
-        but the radius of curvature is known.
-    used : (n,) bool ndarray
-        Points that the fit used; all, unless ``robust``.
-    common : (k,) ndarray
-        Estimated common errors, in their prior sigmas.
-    converged : bool
-        False if the iteration stopped at its limit; the curve is then the best one met.
     """
 
-    coefficients: Array
-    covariance: Array
-    frame: Frame
-    points: Array
-    feet: Array
-    residual: Array
-    curve_sigma: Array
-    chi2: float
-    dof: int
-    sigma_estimated: bool
     sigma: float
-    straight: bool
-    shallow: bool
-    used: NDArray[np.bool_]
-    common: Array
-    converged: bool
-
-    @property
-    def curve_rms(self) -> float:
-        """rms of ``curve_sigma`` along the used points [mm]."""
-        return float(np.sqrt(np.mean(self.curve_sigma[self.used] ** 2)))
-
-    @property
-    def board_coefficients(self) -> Array:
-        """A … F (6,) in y, z of the board [mm], unit norm: badly scaled, for display and exchange only."""
-        inverse = np.linalg.inv(self.frame.matrix)
-        return conic.transform(self.coefficients, inverse, self.frame.origin)
 
 
 def fit(

@@ -22,14 +22,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from benchsim.bench import conic
-from benchsim.conics.data import Frame
+from benchsim.conics.fitted import Fitted
 
 Array = NDArray[np.float64]
 
@@ -56,29 +55,6 @@ class Invariant:
     low: float | None
     high: float | None
     determined: bool
-
-
-class Fitted(Protocol):
-    """What intervals are taken of: a :class:`~benchsim.conics.fit.ConicFit` or a section fit."""
-
-    @property
-    def coefficients(self) -> Array: ...
-    @property
-    def covariance(self) -> Array: ...
-    @property
-    def frame(self) -> Frame: ...
-    @property
-    def points(self) -> Array: ...
-    @property
-    def feet(self) -> Array: ...
-    @property
-    def sigma_estimated(self) -> bool: ...
-    @property
-    def dof(self) -> int: ...
-    @property
-    def straight(self) -> bool: ...
-    @property
-    def shallow(self) -> bool: ...
 
 
 # columns of _quantities; the names of the finite ones are the invariants' own

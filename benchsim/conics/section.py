@@ -28,26 +28,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchsim.bench import conic
 from benchsim.bench.errors import BenchsimError
-from benchsim.conics.data import Frame, check_common, check_covariance, check_points, whitening
+from benchsim.conics.data import check_common, check_covariance, check_points, whitening
 from benchsim.conics.distance import foot_points
 from benchsim.conics.fit import fit
+from benchsim.conics.fitted import Fitted
 from benchsim.conics.solve import curve_sigma, unit_covariance
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class SectionFit:
-    """A cone's section with the setting errors that it implies; coefficients and frame as in :class:`ConicFit`.
+@dataclass(frozen=True, kw_only=True)
+class SectionFit(Fitted):
+    """A cone's section with the setting errors that it implies.
+
+    ``dof`` is the number of points: every parameter brings its prior. No section counts as ``straight`` or ``shallow``.
 
     Attributes
     ----------
-    coefficients, covariance, frame, points, feet, residual, curve_sigma
-        As in :class:`~benchsim.conics.fit.ConicFit`.
-    chi2 : float
-        Of points and priors together.
-    dof : int
-        Number of points: every parameter brings its prior.
     names : tuple of str
         Of the parameters.
     parameters : (k,) ndarray
@@ -59,41 +56,14 @@ class SectionFit:
         Rows: orthonormal combinations of the errors in units of their prior (of q), the best fixed first.
     remaining : (k,) ndarray
         Sigma of each combination after the fit by that before: 1 where the trace says nothing.
-    common : (j,) ndarray
-        Estimated common errors of the points, in their prior sigmas.
-    converged : bool
     """
 
-    coefficients: Array
-    covariance: Array
-    frame: Frame
-    points: Array
-    feet: Array
-    residual: Array
-    curve_sigma: Array
-    chi2: float
-    dof: int
     names: tuple[str, ...]
     parameters: Array
     parameter_covariance: Array
     pulls: Array
     combinations: Array
     remaining: Array
-    common: Array
-    converged: bool
-    sigma_estimated: bool = False
-    straight: bool = False
-    shallow: bool = False
-
-    @property
-    def curve_rms(self) -> float:
-        """rms of ``curve_sigma`` along the points [mm]."""
-        return float(np.sqrt(np.mean(self.curve_sigma**2)))
-
-    @property
-    def board_coefficients(self) -> Array:
-        """A … F (6,) in y, z of the board [mm], unit norm: badly scaled, for display and exchange only."""
-        return conic.transform(self.coefficients, np.linalg.inv(self.frame.matrix), self.frame.origin)
 
 
 def section_of(predict: Callable[[Array], ArrayLike]) -> Callable[[Array], Array]:
@@ -216,7 +186,8 @@ def fit_section(
     return SectionFit(
         coefficients=c, covariance=cov, frame=frame, points=x, feet=frame.undo(feet), residual=r,
         curve_sigma=curve_sigma(c, cov, feet, m),
-        chi2=chi2, dof=n, names=tuple(names) or tuple(f"p{i}" for i in range(k)), parameters=theta,
+        chi2=chi2, dof=n, used=np.ones(n, bool),
+        names=tuple(names) or tuple(f"p{i}" for i in range(k)), parameters=theta,
         parameter_covariance=lower @ cov_q @ lower.T, pulls=(theta - mean) / np.sqrt(np.diag(prior)),
         combinations=directions.T, remaining=np.sqrt(left), common=eta, converged=converged,
     )  # fmt: skip

@@ -238,11 +238,6 @@ def sigma_sys(distance: float, sizes: Sequence[float]) -> float:
     return math.hypot(*sizes) / distance
 
 
-def sigma_total(pointing: Pointing, systematic: float) -> Array:
-    """(2,) σ_tot = √(σ_mean² + σ_sys²) about x and y [rad]."""
-    return np.hypot(pointing.sigma_mean, systematic)
-
-
 def axis_error(pointing: Pointing, mount: Mount, axis: Array) -> Array:
     """(2,) what the found axis is off from the true ``axis``, about x and y of the true ``mount`` [rad]."""
     off = axes(mount)[0].T @ (pointing.axis - axis)

@@ -193,7 +193,7 @@ def board_height(recording: Recording, board: Array) -> Array:
     """Height (n,) [mm] of the surface over the board's plane at true places (n, 2): bow and field ``height``."""
     bow = recording.effects.get("screen-bow", {})
     y, z = np.asarray(board, float).T
-    x = 0.5e-3 * (bow.get("bow_y", 0.0) * y**2 + bow.get("bow_z", 0.0) * z**2)
+    x: Array = 0.5e-3 * (bow.get("bow_y", 0.0) * y**2 + bow.get("bow_z", 0.0) * z**2)
     if "height" in recording.fields:
         x = x + evaluate(recording.fields["height"], y, z)[0]
     return x

@@ -156,7 +156,7 @@ def tangents(points: Array) -> Array:
         return t / np.hypot(t[:, 0], t[:, 1])[:, None]
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     t = CubicSpline(s, points)(s, 1)
-    return t / np.linalg.norm(t, axis=1, keepdims=True)
+    return np.asarray(t / np.linalg.norm(t, axis=1, keepdims=True))
 
 
 @lru_cache(maxsize=64)

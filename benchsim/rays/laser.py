@@ -193,28 +193,6 @@ def direction(curvature: float, point: Array, axis: Array, x: Array) -> Array:
     return axis + curvature * (x - point)
 
 
-def power_density(laser: Laser, point: Array, axis: Array, x: Array, normal: Array) -> Array:
-    """Power per area that the beam lays on a surface, laser power 1.
-
-    An element dA at x with unit normal n is cut by the rays of |n·g| / (g·d)³ dA of the reference plane, exactly.
-    Not valid beyond the focus of a converging beam.
-
-    Parameters
-    ----------
-    laser : Laser
-    point, axis : (3,) array
-        Reference point [mm] and unit direction of travel.
-    x : (..., 3) array [mm]
-    normal : (..., 3) array
-        Unit normals of the surface; light that comes from behind counts as none.
-
-    Returns
-    -------
-    (...) ndarray [1/mm²]
-    """
-    return Beam(point, axis, laser.waist, laser.curvature).light(x)[1](normal)
-
-
 @dataclass(frozen=True, eq=False)
 class Beam:
     """The beam of one exposure, where it stands.
@@ -239,16 +217,20 @@ class Beam:
     def light(self, x: Array) -> tuple[Array, Callable[..., Array]]:
         """Directions of the rays through x, and their power density as a function of the surface's normal there.
 
+        An element dA at x with unit normal n is cut by the rays of |n·g| / (g·d)³ dA of the reference plane, exactly.
+
         Parameters
         ----------
         x : (..., 3) array [mm]
+            On this side of a converging beam's focus.
 
         Returns
         -------
         direction : (..., 3) ndarray
             Of travel, not normalised.
         density : function
-            Of normals (..., 3) and, optionally, the index of the points they belong to: [1/mm²], laser power 1.
+            Of normals (..., 3) and, optionally, the index of the points they belong to: [1/mm²], laser power 1. Light
+            that comes from behind counts as none.
         """
         offset = x - self.point
         if not self.more.homocentric:
@@ -326,7 +308,7 @@ class Beam:
                 by_u = (angle(a + step, b) - angle(a - step, b)) / (2 * step)
                 by_v = (angle(a, b + step) - angle(a, b - step)) / (2 * step)
                 j11, j21, j12, j22 = j11 + by_u[0], j21 + by_u[1], j12 + by_v[0], j22 + by_v[1]
-            stretch = (1 + down * j11) * (1 + down * j22) - down * down * j12 * j21
+            stretch: Array = (1 + down * j11) * (1 + down * j22) - down * down * j12 * j21
             light = self.gaussian(a * a + b * b)
             if some(*self.more.shape):
                 light = light * self.reshaped(a, b)
@@ -341,7 +323,8 @@ class Beam:
             return self.axis
         assert self.section is not None
         free = self.more.angle(0.0, 0.0)
-        return self.axis + free[0] * self.section[0] + free[1] * self.section[1]
+        turned: Array = self.axis + free[0] * self.section[0] + free[1] * self.section[1]
+        return turned
 
 
 def beam(laser: Laser, placement: Placement, source: SourceEffects) -> Beam:

@@ -163,24 +163,8 @@ def turned(placement: Placement, polygon: MirrorEffects) -> Placement:
     return replace(placement, axis=turn @ placement.axis, normal=turn @ placement.normal)
 
 
-def normal_at(placement: Placement, phase: Array) -> Array:
-    """Outward normal of the reflecting facet, facet 0's at phase 0 turned about the axis.
-
-    Parameters
-    ----------
-    placement : Placement
-    phase : (...) array
-        Right-handed turn of this facet's normal from ``placement.normal`` [rad]: the mirror's phase plus 2πk/facets.
-
-    Returns
-    -------
-    (..., 3) ndarray
-    """
-    return _turn(placement, phase)[0]
-
-
 def _turn(placement: Placement, phase: Array) -> tuple[Array, Array]:
-    """Normal, and axis × normal."""
+    """Outward normal, the placement's turned right-handedly about the axis by ``phase``; and axis × normal."""
     e = np.asarray(phase)
     a, n = placement.axis, placement.normal
     lift = over(dot(a, n)) * a
@@ -188,27 +172,6 @@ def _turn(placement: Placement, phase: Array) -> tuple[Array, Array]:
     across = cross(a, n)
     c, s = cos_sin(e)
     return outer(c, flat) + outer(s, across) + lift, outer(c, across) - outer(s, flat)
-
-
-def facet_point(placement: Placement, radius: float, normal: Array, t: Array, h: Array) -> Array:
-    """Point of a facet: C + r n + t (axis × n) + h axis.
-
-    Parameters
-    ----------
-    placement : Placement
-    radius : float
-        r, the reflecting distance [mm].
-    normal : (..., 3) array
-    t, h : array, broadcast against ``normal[..., 0]``
-        Position on the facet across the axis and along it, from its centre [mm].
-
-    Returns
-    -------
-    (..., 3) ndarray [mm]
-    """
-    a = placement.axis
-    t, h = np.asarray(t)[..., None], np.asarray(h)[..., None]
-    return placement.centre + radius * normal + t * np.cross(a, normal) + h * a
 
 
 def surface(
@@ -222,13 +185,18 @@ def surface(
 ) -> tuple[Array, Array, Array | None]:
     """Points and normals of a facet that may lean about its centre and be curved.
 
+    A plane upright facet's points are C + r n + t (axis × n) + h axis.
+
     Parameters
     ----------
     placement : Placement
     radius, curvature : float [mm, 1/mm]
-    phase : (...) array [rad]
+        r, the reflecting distance, and the facet's own curvature.
+    phase : (...) array
+        Right-handed turn of this facet's normal from ``placement.normal`` [rad]: the mirror's phase plus 2πk/facets.
     lean : float or (...) array [rad]
-    t, h : arrays, broadcast against ``phase`` [mm]
+    t, h : arrays, broadcast against ``phase``
+        Position on the facet across the axis and along it, from its centre [mm].
 
     Returns
     -------

@@ -165,8 +165,8 @@ def cuts(
     ty, tz, oy, oz = (v[..., k, None, None] for v in (tangent, origin) for k in (0, 1))
     (y, z), (x0, y0, z0) = f.edges, f.far
     y0, z0 = y0 - oy, z0 - oz
-    track: Components = tuple(ty * a + tz * b for a, b in zip(y, z, strict=True))  # type: ignore[assignment]
-    beside: Components = tuple(ty * b - tz * a for a, b in zip(y, z, strict=True))  # type: ignore[assignment]
+    track: Components = tuple(ty * a + tz * b for a, b in zip(y, z, strict=True))
+    beside: Components = tuple(ty * b - tz * a for a, b in zip(y, z, strict=True))
     far_on, far_aside = ty * y0 + tz * z0, ty * z0 - tz * y0
     e = np.array(np.broadcast_to(phase, (*phase.shape[:-2], t.shape[0], h.shape[1])))
 

@@ -62,7 +62,8 @@ class BoardEffects:
     def turn(self) -> Array:
         """Matrix (3, 3) of the board's turn, marks and all, in the frame in which it is seated; see `tilted`."""
         c, s = np.cos(self.roll), np.sin(self.roll)
-        return tilted(*self.slope) @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        roll: Array = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        return tilted(*self.slope) @ roll
 
     def slopes(self, y: Array, z: Array) -> tuple[Array, Array]:
         """Slopes of the surface without its field, along y and z; plain numbers where it is not bent."""
@@ -93,7 +94,7 @@ def tilted(along_y: float, along_z: float) -> Array:
     """
     n = np.array([1.0, -along_y, -along_z])
     n /= np.sqrt(n @ n)
-    out = np.eye(3) - np.outer(n, n) / (1.0 + n[0])
+    out: Array = np.eye(3) - np.outer(n, n) / (1.0 + n[0])
     out[0], out[:, 0] = -n, n
     return out
 

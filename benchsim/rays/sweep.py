@@ -128,14 +128,6 @@ def axis_ray(bench: Bench, phase: Array, lean: Array | float = 0.0, *, front: bo
     return _onward(bench, x, normal, incoming, *optic.through_glass(polygon.glass, x, normal, incoming))
 
 
-def beam_ray(bench: Bench, phase: Array, t: Array, h: Array, lean: Array | float = 0.0) -> Light:
-    """The beam's ray that meets the point (t, h) of the facet at a phase; for a cylinder t is 0.
-
-    ``lean`` is added to the mean facet's. Of glass (t, h) is the point of the front face at which the light enters.
-    """
-    return _beam_light(bench, phase, t, h, lean)[0]
-
-
 def _beam_light(
     bench: Bench,
     phase: Array,
@@ -146,7 +138,11 @@ def _beam_light(
     front: bool = False,
     power: bool = False,
 ) -> tuple[Light, Array | float]:
-    """The ray, and with ``power`` the power per dt dh that the first of a stack of phases brings to the board."""
+    """The beam's ray that meets the point (t, h) of the facet at a phase; for a cylinder t is 0.
+
+    ``lean`` is added to the mean facet's. Of glass (t, h) is the point of the front face at which the light enters.
+    With ``power`` also the power per dt dh that the first of a stack of phases brings to the board.
+    """
     p, polygon = bench.placement, bench.parts.polygon
     lean = lean + polygon.lean(bench.facet, phase)
     x, normal, area = optic.surface(p, bench.radius, polygon.curvature, phase, lean, t, h)
@@ -302,7 +298,7 @@ def mixed(
             # the light passes the profile faster or slower.
             late = (more.mean(more.phase) - less.mean(less.phase)) / (2 * far[..., 0])
             hurried = 1.0 / (1.0 - bench.parts.polygon.steepness(here) * late[..., None])
-        u = off * hurried / far
+        u: Array = off * hurried / far
 
         def at(values: list[Array]) -> Array:
             low, here, high = (v[..., None] for v in values)

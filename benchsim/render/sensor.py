@@ -196,27 +196,6 @@ def expose(
     return develop(signal, camera, options, rng)
 
 
-def expose_colour(
-    light: Signals,
-    camera: Camera,
-    options: RenderOptions,
-    rng: np.random.Generator | None,
-    response: tuple[float, float, float] = RED_LASER,
-) -> Counts:
-    """A colour picture: the laser mostly in red, the room white.
-
-    Every pixel has its three colours with noise of their own, as after a perfect interpolation of the Bayer pattern.
-
-    Returns
-    -------
-    (rows, columns, 3) ndarray of uint8 or uint16
-        Red, green, blue.
-    """
-    lit = speckle(light.laser, options.speckle_px, rng)
-    channels = [develop(light.room + np.float32(share) * lit, camera, options, rng) for share in response]
-    return np.stack(channels, axis=-1)
-
-
 def write_image(path: str | Path, counts: Counts, *, jpeg_quality: int = 90) -> None:
     """Write a picture as PNG, TIFF or JPEG (by its suffix), mono or RGB, under a temporary name first.
 

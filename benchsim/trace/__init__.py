@@ -8,16 +8,7 @@ from benchsim.trace.extract import PixelTrace, extract, extract_pixels
 from benchsim.trace.image import Photograph, read_image
 from benchsim.trace.marks import board_corners, find_marks
 from benchsim.trace.pose import Pose, solve_pose, to_board, to_pixels
-from benchsim.trace.table import (
-    RidgeNoise,
-    Trace,
-    covariance,
-    only_ridge,
-    read_table,
-    thinned,
-    unsaturated,
-    write_table,
-)
+from benchsim.trace.table import RidgeNoise, Trace, covariance, only_ridge, unsaturated, write_table
 
 __all__ = [
     "Photograph",
@@ -32,9 +23,7 @@ __all__ = [
     "find_marks",
     "only_ridge",
     "read_image",
-    "read_table",
     "solve_pose",
-    "thinned",
     "to_board",
     "to_pixels",
     "unsaturated",

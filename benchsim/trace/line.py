@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.interpolate import BSpline
 
 from benchsim.trace.background import darker, slope_across
-from benchsim.trace.band import Band, band_along, smooth_curve
+from benchsim.trace.band import Band, smooth_curve
 from benchsim.trace.noise import FALSE_ALARM, CentreNoise, centre_noise, fit_pixel_noise, spline_basis
 from benchsim.trace.picture import (
     FAINT,
@@ -30,7 +30,7 @@ from benchsim.trace.picture import (
 from benchsim.trace.profile import Profiles, calm, fit_profiles, light_of, stretches
 from benchsim.trace.ridge import CoarseCurve
 from benchsim.trace.shape import MAX_ORDER, Shape, fit_shape, legendre
-from benchsim.trace.start import centred_curve
+from benchsim.trace.start import band_in, centred_curve
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -125,9 +125,7 @@ def measure_line(picture: Picture, coarse: CoarseCurve, reach: float) -> Line:
     curve, span, fwhm = centred_curve(picture, coarse, reach)
     core = CORE[0] * fwhm + CORE[1]
     half_width = core + FLANK[0 if picture.dark else 1]
-    band = band_along(curve, span, half_width, picture.signal.shape)
-    if band is None:
-        raise Unmeasurable("it lies outside of the picture", OFF_PICTURE)
+    band = band_in(picture, curve, span, half_width)
     view = _view(picture, band, core)
     fitted = _fit(view, span, core, half_width)
     return _judged(view, fitted, curve, span)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from benchsim.trace.background import darker, row_median
-from benchsim.trace.band import band_along, smooth_curve
+from benchsim.trace.band import Band, band_along, smooth_curve
 from benchsim.trace.picture import FAINT, KEPT, LEAST_PROFILES, OFF_PICTURE, Picture, Unmeasurable
 from benchsim.trace.ridge import CoarseCurve
 
@@ -25,10 +25,8 @@ def centred_curve(picture: Picture, coarse: CoarseCurve, reach: float) -> tuple[
 
     Parameters
     ----------
-    picture : Picture
-    coarse : CoarseCurve
-    reach : float
-        How far off the coarse curve may be [px].
+    picture, coarse, reach
+        As of :func:`benchsim.trace.line.measure_line`.
 
     Returns
     -------
@@ -48,9 +46,7 @@ def centred_curve(picture: Picture, coarse: CoarseCurve, reach: float) -> tuple[
     curve = smooth_curve(length, coarse.points, np.ones(len(length)), span, 160.0)
     half_width, fwhm = 2 * reach + 16.0, 0.0
     for _ in range(2):
-        band = band_along(curve, span, half_width, picture.signal.shape)
-        if band is None:
-            raise Unmeasurable("it lies outside of the picture", OFF_PICTURE)
+        band = band_in(picture, curve, span, half_width)
         use = band.inside & (band.take(picture.blocked) == KEPT)
         use &= ~darker(picture, band, use)
         light = np.where(use, band.take(picture.signal), np.nan)
@@ -66,6 +62,14 @@ def centred_curve(picture: Picture, coarse: CoarseCurve, reach: float) -> tuple[
         curve = smooth_curve(length, points, np.ones(len(length)), span, 80.0)
         half_width = 3.0 * fwhm + 8.0
     return curve, span, fwhm
+
+
+def band_in(picture: Picture, curve: BSpline, span: tuple[float, float], half_width: float) -> Band:
+    """`band_along` of a curve in a picture; raises `Unmeasurable` if it lies outside."""
+    band = band_along(curve, span, half_width, picture.signal.shape)
+    if band is None:
+        raise Unmeasurable("it lies outside of the picture", OFF_PICTURE)
+    return band
 
 
 def _centroids(

@@ -119,7 +119,7 @@ class Trace:
     linear : bool
         Whether the camera's gamma is known.
     pose : Pose or None
-        Of the camera; None for a trace read from a file.
+        Of the camera; None where it is not known.
     """
 
     exposure: str
@@ -158,11 +158,6 @@ def only_ridge(trace: Trace, ridge: int = 0) -> Trace:
     return _selected(trace, trace.ridge == ridge)
 
 
-def thinned(trace: Trace, step: int) -> Trace:
-    """Every ``step``-th profile by number. The others' information is lost: for a quick look, not for a fit."""
-    return _selected(trace, trace.profile % step == 0)
-
-
 def unsaturated(trace: Trace) -> Trace:
     """The same without profiles that hold saturated pixels; all of it where those are more than `CUT` of it.
 
@@ -186,7 +181,7 @@ def _selected(trace: Trace, mask: NDArray[np.bool_]) -> Trace:
 def covariance(trace: Trace) -> Array:
     """Covariance (n, n) [mm²] of the centres' shifts along ``normal``.
 
-    σ_i σ_j ρ(i − j) + pose + shape; for a trace read from a file only σ² is known.
+    σ_i σ_j ρ(i − j) + pose + shape; what the trace does not hold of these is taken as none.
 
     Parameters
     ----------
@@ -236,37 +231,3 @@ def write_table(path: str | Path, traces: Iterable[Trace]) -> None:
         raise BenchsimError(
             f"{path}: cannot be written ({error.strerror}); choose a folder that exists and is writable"
         ) from None
-
-
-def read_table(path: str | Path) -> tuple[Trace, ...]:
-    """Traces of a ``trace.csv``, one per exposure in the file's order.
-
-    What the file does not hold (normals, common errors, noise, pose) is empty: fits to it underestimate what the
-    profiles share.
-
-    Raises
-    ------
-    BenchsimError
-        If it is missing, has another header, or holds something that is not a number.
-    """
-    path = Path(path)
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError):
-        raise BenchsimError(f"{path}: cannot be read as a table; name a trace.csv that `benchsim fit` wrote") from None
-    if not rows or tuple(rows[0]) != HEADER:
-        raise BenchsimError(f"{path.name}: the header is not {','.join(HEADER)}; name a trace.csv")
-    by_exposure: dict[str, list[list[float]]] = {}
-    for number, row in enumerate(rows[1:], start=2):
-        try:
-            if len(row) != len(HEADER):
-                raise ValueError
-            by_exposure.setdefault(row[0], []).append([float(x) for x in row[1:]])
-        except ValueError:
-            raise BenchsimError(f"{path.name}: line {number} does not hold {len(HEADER)} values; mend it") from None
-    out = []
-    for exposure, values in by_exposure.items():
-        columns = np.array(values).T
-        out.append(Trace(exposure, columns[0].astype(np.intp), *columns[1:]))
-    return tuple(out)

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.drone.estimate import axis_error, estimate, outliers, sigma_sys, sigma_total, turned
+from benchsim.drone.estimate import axis_error, estimate, outliers, sigma_sys, turned
 from benchsim.drone.flight import Errors, Sightings, camera_point, fly, half_of, pattern, read, seen, stand
 from benchsim.drone.heliostat import axes, design_map, four_facets
 from benchsim.drone.survey import survey
@@ -137,9 +137,3 @@ def test_glints_that_share_a_frame_are_no_more_than_one_draw():
     )
     np.testing.assert_allclose(b.sigma_mean_frames, a.sigma_mean_frames, rtol=1e-6)
     np.testing.assert_allclose(b.sigma_mean, a.sigma_mean / math.sqrt(2), rtol=0.01)
-
-
-def test_sigma_total_is_a_quadrature():
-    flight, h, sightings = flown(Errors(), 23)
-    p = estimate(sightings, flight.said_cameras, flight.said_lamps, h.said, h.measured)
-    np.testing.assert_allclose(sigma_total(p, 0.2e-3) ** 2, p.sigma_mean**2 + 0.04e-6)

@@ -12,10 +12,10 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read
 from benchsim.bench.model import Exposure, Laser, Mirror, Physics, Screen
 from benchsim.bench.place import SettingErrors, place
-from benchsim.rays import irradiance_profiles, predict, trace_curve
+from benchsim.rays import irradiance_profiles, mirror, predict, screen, trace_curve
 from benchsim.rays.curve import beam_profiles, sample_phases
 from benchsim.rays.profile import adaptive
-from benchsim.rays.sweep import Bench, beam_ray
+from benchsim.rays.sweep import Bench
 
 FIG7A = Exposure("A", "7a", np.radians(101.0), np.radians(50.0), (1500.0, -160.0, -1430.0))
 FIG7B = Exposure("A", "7b", np.radians(260.0), np.radians(48.0), (1500.0, -450.0, -1430.0))
@@ -113,14 +113,17 @@ def test_light_is_conserved(exposure, physics):
     t = v * Mirror().facet_width / 2 if facets else np.zeros(1)
     wt = w * Mirror().facet_width / 2 if facets else np.full(1, Mirror().radius)
     e, tt, hh = np.meshgrid(phase, t, v * Mirror().height / 2, indexing="ij")
-    light = beam_ray(bench, e, tt, hh)
-    d = bench.placement.laser_direction
-    offset = light.x - bench.placement.laser_point
+    p = bench.placement
+    x, normal, _ = mirror.surface(p, bench.radius, 0.0, e, 0.0, tt, hh)
+    incoming, _ = bench.beam.light(x)
+    board, _ = screen.meet(p, x, mirror.reflect(incoming, normal))
+    d = p.laser_direction
+    offset = x - p.laser_point
     rho2 = (np.cross(offset, d) ** 2).sum(-1) / (1 + Laser().curvature * (offset @ d)) ** 2
-    power = 2 / (np.pi * 25) * np.exp(-2 * rho2 / 25) * -(light.incoming * light.normal).sum(-1)
+    power = 2 / (np.pi * 25) * np.exp(-2 * rho2 / 25) * -(incoming * normal).sum(-1)
     power = power / (1 + Laser().curvature * (offset @ d)) ** 3 * wt[:, None] * (w * Mirror().height / 2)
     power = power * (phase[1] - phase[0]) * (12 / (2 * np.pi) if facets else 1.0)
-    q, foot = signed_distance(curve, light.board.reshape(-1, 2))
+    q, foot = signed_distance(curve, board.reshape(-1, 2))
     seen = power.ravel() * np.exp(-0.5 * ((foot - middle) / sigma) ** 2)
 
     fine = np.linspace(0, s[-1], 4000)

@@ -27,13 +27,15 @@ def test_beam_carries_its_power_through_any_plane(divergence):
     e1, e2 = unit(e1), unit(e2)
     g = np.linspace(-40, 40, 401)
     x = point + 300.0 * axis + g[:, None, None] * e1 + g[None, :, None] * e2
-    total = laser.power_density(beam, point, axis, x, normal).sum() * (g[1] - g[0]) ** 2
+    density = laser.Beam(point, axis, beam.waist, beam.curvature).light(x)[1]
+    total = density(normal).sum() * (g[1] - g[0]) ** 2
     assert total == pytest.approx(1.0, abs=1e-10)
 
 
 def test_light_from_behind_counts_as_none():
     axis = np.array([0.0, 0.0, -1.0])
-    assert laser.power_density(Laser(), np.zeros(3), axis, np.zeros(3), axis) == 0.0
+    density = laser.Beam(np.zeros(3), axis, Laser().waist, Laser().curvature).light(np.zeros(3))[1]
+    assert density(axis) == 0.0 and density(-axis) > 0.0
 
 
 def test_flat_mirror_mirrors_the_source():
@@ -41,9 +43,8 @@ def test_flat_mirror_mirrors_the_source():
     m = Mirror()
     p = place(m, EXPOSURE)
     curvature = Laser().curvature
-    n = mirror.normal_at(p, np.array(0.07))
     t, h = np.meshgrid(np.linspace(-4, 4, 5), np.linspace(-1, 1, 3))
-    x = mirror.facet_point(p, m.radius, n, t, h)
+    x, n, _ = mirror.surface(p, m.radius, 0.0, np.array(0.07), 0.0, t, h)
     out = mirror.reflect(laser.direction(curvature, p.laser_point, p.laser_direction, x), n)
     virtual = p.laser_point - p.laser_direction / curvature
     image = virtual - 2 * ((virtual - p.centre) @ n - m.radius) * n
@@ -53,10 +54,10 @@ def test_flat_mirror_mirrors_the_source():
 def test_facet_turns_right_handed_and_keeps_its_distance():
     m = Mirror()
     p = place(m, EXPOSURE)
-    quarter = mirror.normal_at(p, np.array(np.pi / 2))
+    t, h = np.array(3.0), np.array(0.5)
+    quarter = mirror.surface(p, m.radius, 0.0, np.array(np.pi / 2), 0.0, t, h)[1]
     np.testing.assert_allclose(quarter, np.cross(p.axis, p.normal), atol=1e-15)
-    n = mirror.normal_at(p, np.linspace(0, 6, 7))
-    x = mirror.facet_point(p, m.radius, n, 3.0, 0.5)
+    x, n, _ = mirror.surface(p, m.radius, 0.0, np.linspace(0, 6, 7), 0.0, t, h)
     np.testing.assert_allclose(laser.dot(x - p.centre, n), m.radius, atol=1e-12)
     np.testing.assert_allclose((x - p.centre) @ p.axis, 0.5, atol=1e-12)
 

@@ -7,17 +7,7 @@ import pytest
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, RenderOptions
 from benchsim.render.picture import Picture
-from benchsim.render.sensor import (
-    RED_LASER,
-    Signals,
-    develop,
-    encode,
-    expose,
-    expose_colour,
-    signals,
-    speckle,
-    write_image,
-)
+from benchsim.render.sensor import Signals, develop, encode, expose, signals, speckle, write_image
 
 OPTIONS = RenderOptions()
 
@@ -127,13 +117,6 @@ def test_the_dark_picture_has_the_same_room_and_other_noise():
     assert dark.mean() == pytest.approx(800 + 0.2 * (65535 - 800), rel=1e-3)
     assert lit.mean() == pytest.approx(800 + 0.7 * (65535 - 800), rel=1e-3)
     assert abs(np.corrcoef(lit.ravel(), dark.ravel())[0, 1]) < 5 / np.sqrt(lit.size)
-
-
-def test_a_red_laser_saturates_red_first():
-    counts = expose_colour(Signals(flat(1.5), flat(0.2)), camera(), OPTIONS, np.random.default_rng(3)).astype(float)
-    assert (counts[..., 0] == 65535).mean() > 0.99
-    green = 800 + (0.2 + 1.5 * RED_LASER[1]) * (65535 - 800)
-    assert counts[..., 1].mean() == pytest.approx(green, rel=1e-3)
 
 
 @pytest.mark.parametrize("name, depth, colour", [("a.png", 16, False), ("a.tif", 16, True), ("a.png", 8, True)])

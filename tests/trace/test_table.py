@@ -1,22 +1,13 @@
-"""The trace's table: round trip, refusal of what is not one, and nothing half-written."""
+"""The trace's table: what is written, and nothing half-written; covariance and selections."""
 
+import csv
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.trace.table import (
-    HEADER,
-    RidgeNoise,
-    Trace,
-    covariance,
-    only_ridge,
-    read_table,
-    thinned,
-    unsaturated,
-    write_table,
-)
+from benchsim.trace.table import HEADER, RidgeNoise, Trace, covariance, only_ridge, unsaturated, write_table
 
 
 def a_trace(n=12, exposure="001.png"):
@@ -40,35 +31,21 @@ def test_header_is_the_contract():
     assert ",".join(HEADER) == ("exposure,ridge,s_mm,u_px,v_px,y_mm,z_mm,sigma_mm,width_mm,flux,skewness,saturated")
 
 
-def test_round_trip(tmp_path):
+def test_what_is_written_reads_back(tmp_path):
     traces = [a_trace(), a_trace(exposure="002, a.png")]
     write_table(tmp_path / "trace.csv", traces)
-    back = read_table(tmp_path / "trace.csv")
-    assert [t.exposure for t in back] == ["001.png", "002, a.png"]
-    for one, two in zip(traces, back, strict=True):
-        for name in HEADER[1:]:
-            np.testing.assert_allclose(getattr(two, name), getattr(one, name), rtol=1e-8)
+    with (tmp_path / "trace.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["exposure"] for row in rows] == ["001.png"] * 12 + ["002, a.png"] * 12
+    for name in HEADER[1:]:
+        written = np.concatenate([getattr(trace, name) for trace in traces])
+        np.testing.assert_allclose([float(row[name]) for row in rows], written, rtol=1e-8)
     assert [p.name for p in tmp_path.iterdir()] == ["trace.csv"]
 
 
 def test_nothing_is_written_where_it_cannot_be(tmp_path):
     with pytest.raises(BenchsimError, match="cannot be written"):
         write_table(tmp_path / "missing" / "trace.csv", [a_trace()])
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("a,b\n1,2\n", "header"),
-        ("", "header"),
-        (",".join(HEADER) + "\nx.png,0,1\n", "line 2"),
-        (",".join(HEADER) + "\nx.png,0" + ",zero" * 10 + "\n", "line 2"),
-    ],
-)
-def test_what_is_not_a_table_is_refused(tmp_path, text, says):
-    (tmp_path / "t.csv").write_text(text)
-    with pytest.raises(BenchsimError, match=says):
-        read_table(tmp_path / "t.csv")
 
 
 def test_covariance_is_the_sum_of_its_parts():
@@ -88,7 +65,6 @@ def test_selections_keep_the_parts_together():
     ghost = only_ridge(trace, 1)
     assert len(ghost) == 4 and len(ghost.pose_mm) == 4 and covariance(ghost).shape == (4, 4)
     np.testing.assert_allclose(covariance(ghost), covariance(trace)[-4:, -4:])
-    assert set(thinned(trace, 2).profile % 2) == {0}
 
 
 @pytest.mark.parametrize(("cut", "left"), [(0, 10), (3, 7), (8, 10)])

@@ -1,9 +1,12 @@
 """The commands: exit 0 done, 1 not verified or unusable, and what a person reads."""
 
 import json
+from types import SimpleNamespace
 
+import pytest
 from typer.testing import CliRunner
 
+from benchsim import trial
 from benchsim.cli import app
 
 
@@ -29,6 +32,16 @@ def test_open_tells_every_case(spoilt):
 def test_judge_wants_sealed_recordings(tmp_path):
     done = called("judge", tmp_path, "-o", tmp_path / "v")
     assert done.exit_code == 1 and "ledger.jsonl: cannot be read" in done.output
+
+
+@pytest.mark.parametrize("name", ["conceal", "run"])
+def test_what_is_begun_is_what_was_named(monkeypatch, tmp_path, name):
+    def job(which):
+        return lambda cases, output, **_: SimpleNamespace(summary=lambda: f"{which} {cases} {output}")
+
+    monkeypatch.setattr(trial, "conceal", job("conceal"))
+    monkeypatch.setattr(trial, "run", job("run"))
+    assert called(name, "--cases", 3, "-o", tmp_path).output == f"{name} 3 {tmp_path}\n"
 
 
 def test_usage_is_told():
