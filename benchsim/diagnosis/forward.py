@@ -3,18 +3,19 @@
 Records of a mount have wrong days among them, and their errors are known from nothing but their own scatter: evidence,
 which takes errors to be normal, then buys one effect after the other. Here effects are added one by one while records
 that were left out are predicted better, all of one stretch of time together, for that is how a mount is used: learnt
-from yesterday, pointed tomorrow. Fits are exact and robust: with r the whitened residual of a datum and x a parameter
-in prior sigmas,
+from yesterday, pointed tomorrow. Fits are robust: with r the whitened residual of a datum and x a parameter in prior
+sigmas,
 
     minimise  Σ 2 (√(1 + r²) − 1) + Σ x²,
 
-and a model is judged by the mean of the first sum's terms over data left out. Shapes (the place of a change) stand
-where the diagnosis has them.
+of all data exactly, without a stretch by derivatives about that fit; what is left out is predicted exactly. A model is
+judged by the mean of the first sum's terms over data left out. Shapes (the place of a change) stand where the diagnosis
+has them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,13 +120,17 @@ def _model(problem: Problem, naming: Naming, effects: Effects) -> Model | None:
     if shapes is None:
         return None
     lower = linear.factors(problem.covariance)
-    whole = fitted(problem, own, lower, shapes, np.ones(len(problem.data), bool))
+    whole, sigma = fitted(problem, own, lower, shapes), np.array([p.sigma for p in own])
+    at = np.array([whole[p.name] for p in own]) / sigma
+    white = _white(problem, lower, whole)
+    columns = linear.lowered(lower, linear.columns(problem, whole, own) * sigma)
     stretch = in_turn(problem)[problem.block]
     losses = np.empty(len(problem.data))
     for s in range(int(stretch.max()) + 1):
         out = stretch == s
-        at = fitted(problem, own, lower, whole, ~out)
-        losses[out] = loss(_white(problem, lower, at)[out])
+        target, kept = (white + columns @ at)[~out], columns[~out]
+        x = _linear(target, kept, at, own)
+        losses[out] = loss(_white(problem, lower, whole | _named(own, x * sigma))[out])
     return Model(effects, whole, losses)
 
 
@@ -152,36 +157,50 @@ def _white(problem: Problem, lower: Sequence[Array], at: Mapping[str, float]) ->
 
 
 def fitted(
-    problem: Problem,
-    parameters: Sequence[Parameter],
-    lower: Sequence[Array],
-    at: Mapping[str, float],
-    keep: NDArray[np.bool_],
+    problem: Problem, parameters: Sequence[Parameter], lower: Sequence[Array], at: Mapping[str, float]
 ) -> dict[str, float]:
-    """Robust fit of some parameters to some of the data; all else as in ``at``."""
+    """Robust fit of some parameters to all data; all else as in ``at``."""
     sigma = np.array([p.sigma for p in parameters])
 
     def values(x: Array) -> dict[str, float]:
-        return {**at, **{p.name: float(v) for p, v in zip(parameters, x * sigma, strict=True)}}
+        return {**at, **_named(parameters, x * sigma)}
+
+    found = _robust(
+        lambda x: _white(problem, lower, values(x)),
+        lambda x: linear.lowered(lower, linear.columns(problem, values(x), tuple(parameters)) * sigma),
+        np.array([at.get(p.name, 0.0) for p in parameters]) / sigma,
+        parameters,
+    )
+    return values(found)
+
+
+def _robust(
+    white: Callable[[Array], Array], columns: Callable[[Array], Array], start: Array, parameters: Sequence[Parameter]
+) -> Array:
+    """Where Σ loss + Σ x² is least, of whitened residuals and derivatives of the prediction by x."""
 
     def rest(x: Array) -> Array:
         # The loss is applied here, so that priors stay normal.
-        white = _white(problem, lower, values(x))[keep]
-        return np.concatenate([np.sign(white) * np.sqrt(loss(white)), x])
+        r = white(x)
+        return np.concatenate([np.sign(r) * np.sqrt(loss(r)), x])
 
     def slope(x: Array) -> Array:
-        columns = linear.columns(problem, values(x), tuple(parameters)) * sigma
-        white = _white(problem, lower, values(x))[keep]
-        steep = np.where(
-            white == 0, 1.0, np.abs(white) / np.sqrt(1 + white**2) / np.sqrt(np.maximum(loss(white), 1e-300))
-        )
-        return np.concatenate([-linear.lowered(lower, columns)[keep] * steep[:, None], np.eye(len(x))])
+        r = white(x)
+        steep = np.where(r == 0, 1.0, np.abs(r) / np.sqrt(1 + r**2) / np.sqrt(np.maximum(loss(r), 1e-300)))
+        return np.concatenate([-columns(x) * steep[:, None], np.eye(len(x))])
 
-    low = [0.0 if p.one_sided else -np.inf for p in parameters]
-    start = np.array([at.get(p.name, 0.0) for p in parameters]) / sigma
+    low = np.array([0.0 if p.one_sided else -np.inf for p in parameters])
     start = np.where(np.isfinite(low), np.maximum(start, 1e-3), start)
-    found = least_squares(rest, start, slope, bounds=(low, np.inf), max_nfev=ROUNDS, x_scale=1.0)
-    return values(found.x)
+    return np.asarray(least_squares(rest, start, slope, bounds=(low, np.inf), max_nfev=ROUNDS, x_scale=1.0).x)
+
+
+def _linear(target: Array, columns: Array, start: Array, parameters: Sequence[Parameter]) -> Array:
+    """`_robust` where the prediction is linear."""
+    return _robust(lambda x: target - columns @ x, lambda x: columns, start, parameters)
+
+
+def _named(parameters: Sequence[Parameter], x: Array) -> dict[str, float]:
+    return {p.name: float(v) for p, v in zip(parameters, x, strict=True)}
 
 
 def as_fit(problem: Problem, naming: Naming, model: Model) -> Fit:

@@ -52,8 +52,8 @@ def test_a_wrong_day_does_not_move_the_fit():
 def test_the_fit_is_the_least_of_the_stated_sum():
     problem = records({"bow": 1.0}, 7)
     own = (*problem.nuisances, next(e for e in problem.catalogue if e.name == "bow").parameters[0])
-    lower, everything = linear.factors(problem.covariance), np.ones(len(problem.data), bool)
-    at = forward.fitted(problem, own, lower, {}, everything)
+    lower = linear.factors(problem.covariance)
+    at = forward.fitted(problem, own, lower, {})
 
     def total(x):
         values = {p.name: v * p.sigma for p, v in zip(own, x, strict=True)}
