@@ -18,7 +18,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field
 from benchsim.bench.model import Recording
 from benchsim.diagnosis import evidence
-from benchsim.diagnosis.classes import CLOSE
+from benchsim.diagnosis.degeneracy import CLOSE
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.trial.draws import (

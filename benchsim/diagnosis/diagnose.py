@@ -9,13 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from benchsim.diagnosis import attachments, classes, following, held_out, laws, limits, settings
-from benchsim.diagnosis.attachments import Attached
+from benchsim.diagnosis import (
+    cross_validation,
+    degeneracy,
+    detection_limits,
+    discrepancy,
+    new_law,
+    next_experiment,
+    settings,
+)
+from benchsim.diagnosis.decision import Best, Judged, judge, winner
+from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.fits import Effects, Fit, Naming
-from benchsim.diagnosis.following import Alive
-from benchsim.diagnosis.judging import Best, Judged, judge, winner
 from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.naming import name
+from benchsim.diagnosis.next_experiment import Alive
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Class, Diagnosis, Found, Law, Left, Residuals, SplitBy
 from benchsim.diagnosis.search import MATTERS
@@ -63,10 +71,10 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
     many = judged.folds
     law: Law | None = None
     if laid is not None:
-        about = classes.about(naming.linear, on if findings.stands else naming.null)
+        about = degeneracy.about(naming.linear, on if findings.stands else naming.null)
         about = replace(about, residual=laid.linear.residual, nuisance=laid.linear.nuisance)
-        beside = held_out.folds(problem, naming, about, laid)
-        law, why = laws.law(problem, naming, on if findings.stands else naming.null, laid, beside)
+        beside = cross_validation.folds(problem, naming, about, laid)
+        law, why = new_law.law(problem, naming, on if findings.stands else naming.null, laid, beside)
         notes += [why] if why else []
         if law is None and not findings.stands and on.effects:
             # Names that predict are stated rather than a function that does not; both would count the same twice.
@@ -77,13 +85,13 @@ def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
             on, found, opened = naming.null, (), ()
     seen = naming
     if laid is not None:
-        seen = replace(naming, noise=held_out.noise_beside(problem, naming, about, laid))
-    shown = held_out.show(problem, many, judged.prepared)
+        seen = replace(naming, noise=cross_validation.noise_beside(problem, naming, about, laid))
+    shown = cross_validation.show(problem, many, judged.prepared)
     tell("what could be told apart", 0.93)
     grouped, ahead = _open(problem, judged, said, found, opened)
     stated = on.effects == best.fit.effects
-    within = best.space if stated else classes.space(problem, classes.about(naming.linear, on), on.setting_scale)
-    sizes = limits.limits(problem, within, naming.linear.names, on.effects)
+    within = best.space if stated else degeneracy.space(problem, degeneracy.about(naming.linear, on), on.setting_scale)
+    sizes = detection_limits.limits(problem, within, naming.linear.names, on.effects)
     sigma = np.sqrt(np.concatenate([np.diag(c) for c in seen.noise.covariance]))
     residuals = _residuals(problem, naming, on, laid, shown, sigma)
     first = next((k for k in ("c", *seen.noise.scale) if k in seen.noise.scale), None)
@@ -136,15 +144,17 @@ def _open(
         everyone += alive
         # All members are stated as open: what splits them is sought whichever of them it is.
         even = [replace(a, probability=1 / len(alive)) for a in alive]
-        ranked = following.rank(problem, best.linear, _scale(best), best.space, even, further)
+        ranked = next_experiment.rank(problem, best.linear, _scale(best), best.space, even, further)
         made.append(Class(members, _together(best, members, rest), ranked[0] if ranked else None))
     if unnamed:
-        top = sorted((h for h in best.hypotheses.log_evidence.items() if h[0]), key=lambda h: -h[1])[: classes.MEMBERS]
+        top = sorted((h for h in best.hypotheses.log_evidence.items() if h[0]), key=lambda h: -h[1])[
+            : degeneracy.MEMBERS
+        ]
         everyone = _alive(best, [h for h, _ in top])
     elif not groups:
         own = best.fit.effects
         everyone = _alive(best, (own, tuple(e for e in own if e not in doubt)))
-    return tuple(made), following.rank(problem, best.linear, _scale(best), best.space, everyone, further)
+    return tuple(made), next_experiment.rank(problem, best.linear, _scale(best), best.space, everyone, further)
 
 
 def _together(best: Best, members: Sequence[Effects], rest: Effects) -> float:
@@ -166,18 +176,18 @@ def _alive(best: Best, sets: Sequence[Effects]) -> list[Alive]:
     values = np.array([z.get(frozenset(s), min(z.values())) for s in sets])
     shares = np.exp(values - values.max())
     shares /= shares.sum()
-    return [Alive(s, float(p), classes.estimate(best.space, s)) for s, p in zip(sets, shares, strict=True)]
+    return [Alive(s, float(p), degeneracy.estimate(best.space, s)) for s, p in zip(sets, shares, strict=True)]
 
 
 def _residuals(
-    problem: Problem, naming: Naming, on: Fit, laid: Attached | None, shown: held_out.Shown | None, sigma: Array
+    problem: Problem, naming: Naming, on: Fit, laid: Attached | None, shown: cross_validation.Shown | None, sigma: Array
 ) -> Residuals:
     before = problem.data - predict_all(problem, naming.null.values)
     if laid is None:
         after = problem.data - predict_all(problem, on.values)
     else:
         # To first order: the function at its most probable, then nuisances and amplitudes fitted anew.
-        base = attachments.absorb(problem, laid.linear)
+        base = discrepancy.absorb(problem, laid.linear)
         white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
         rest = base.residual - white @ laid.coefficients
         pull, _ = nuisance_posterior(base, rest, laid.scale)
@@ -226,7 +236,7 @@ def _remarks(problem: Problem, naming: Naming, findings: Findings) -> list[str]:
         out.append(f"Not converged, so nothing rests on it: {', '.join(' + '.join(f.effects) for f in lost)}.")
     if not naming.null.converged:
         out.append("Settings alone were not followed to their end: their probability is a lower bound.")
-    if len(set(problem.groups)) < held_out.FEWEST:
+    if len(set(problem.groups)) < cross_validation.FEWEST:
         out.append("Fewer than three settings: none can be left out to test the prediction.")
     if findings.claim is not None and findings.refuted:
         part = 100 * min(max(f.part for f in findings.further if f.matters), 1.0)

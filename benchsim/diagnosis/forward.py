@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from benchsim.diagnosis import evidence, linear
+from benchsim.diagnosis.cross_validation import FOLDS, in_turn
 from benchsim.diagnosis.fits import LARGEST, Effects, Fit, Naming
-from benchsim.diagnosis.held_out import FOLDS, in_turn
 from benchsim.diagnosis.hypothesis import Hypothesis
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 

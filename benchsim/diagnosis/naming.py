@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis import evidence, linear, noise, screen, settings
-from benchsim.diagnosis.attachments import smooth_functions
+from benchsim.diagnosis.discrepancy import smooth_functions
 from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.fitting import RENEWALS, Start, as_it_stands, fitted
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, whitener

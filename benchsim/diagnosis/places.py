@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
 from benchsim.diagnosis import evidence, linear
-from benchsim.diagnosis.attachments import absorb
+from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.hypothesis import Hypothesis, Solved
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import Effect, Problem

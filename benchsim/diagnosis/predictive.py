@@ -2,8 +2,8 @@
 
 Evidence weighs hypotheses as if one of them were true. Where something small is always left, none is; then it goes on
 adding what fits, and a free function, which fits anything, comes first. What counts there is what a model says of
-settings that it has not seen (`held_out`): the difference of two models in left-out χ² is 2 ⟨Δ, n⟩ + what one of them
-misses, so that its sigma is 2 |Δ|, Δ the whitened difference of their predictions.
+settings that it has not seen (`cross_validation`): the difference of two models in left-out χ² is 2 ⟨Δ, n⟩ + what one
+of them misses, so that its sigma is 2 |Δ|, Δ the whitened difference of their predictions.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.attachments import Attached, prepare, weigh, whitened
-from benchsim.diagnosis.classes import estimate, space
+from benchsim.diagnosis.cross_validation import Fold, beside, best_scale, excess, only
+from benchsim.diagnosis.degeneracy import estimate, space
+from benchsim.diagnosis.discrepancy import Attached, prepare, weigh, whitened
 from benchsim.diagnosis.fits import Fit, Naming
-from benchsim.diagnosis.held_out import Fold, beside, best_scale, excess, only
 from benchsim.diagnosis.linear import Linear, whiten
 from benchsim.diagnosis.problem import Problem
 

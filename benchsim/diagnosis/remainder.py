@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
-from benchsim.diagnosis.attachments import smooth_functions
+from benchsim.diagnosis.discrepancy import smooth_functions
 from benchsim.diagnosis.linear import Linear, marginal, whiten
 from benchsim.diagnosis.problem import Problem
 
@@ -162,7 +162,7 @@ def remainder(
     Parameters
     ----------
     linear : Linear
-        Of the hypothesis, its own amplitudes and functions among the nuisances (`attachments.absorb`).
+        Of the hypothesis, its own amplitudes and functions among the nuisances (`discrepancy.absorb`).
     families : Modes
     scale : float
         Setting scale.

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from benchsim.diagnosis import classes, evidence, linear, screen, settings
-from benchsim.diagnosis.attachments import absorb
+from benchsim.diagnosis import degeneracy, evidence, linear, screen, settings
+from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects
 from benchsim.diagnosis.fitting import RENEWALS, Start, fitted, misses
@@ -197,13 +197,13 @@ def _rivals(s: Search, best: Solved) -> list[Effects]:
     if not own or misses(best):
         return []
     about = whole(s.context.problem, s.catalogue, s.white, best)
-    within = classes.space(s.context.problem, classes.about(about, best.fit), best.fit.setting_scale)
-    signal = classes.amplitude_vector(s.context.problem, about.names, best.fit)
+    within = degeneracy.space(s.context.problem, degeneracy.about(about, best.fit), best.fit.setting_scale)
+    signal = degeneracy.amplitude_vector(s.context.problem, about.names, best.fit)
     near: dict[Effects, float] = {}
     for out in own:
         for new in (n for n in s.names if n not in own):
             effects = s.ordered([*(n for n in own if n != out), new])
-            near[effects] = classes.separation(within, signal, effects)
+            near[effects] = degeneracy.separation(within, signal, effects)
     close = sorted((e for e in near if near[e] < NEARBY), key=lambda e: near[e])
     return close[:RIVALS]
 

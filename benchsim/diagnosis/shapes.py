@@ -21,7 +21,7 @@ from scipy.interpolate import RBFInterpolator, make_interp_spline
 from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, linear
-from benchsim.diagnosis.attachments import absorb
+from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.fits import Fit
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 

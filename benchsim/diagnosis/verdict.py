@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchsim.diagnosis import settings
-from benchsim.diagnosis.attachments import Attached
-from benchsim.diagnosis.classes import LIKELY, SURE, Claim, Weighed
+from benchsim.diagnosis.degeneracy import LIKELY, SURE, Claim, Weighed
+from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.fits import Fit
 from benchsim.diagnosis.predictive import BETTER
 from benchsim.diagnosis.problem import Effect, Problem

@@ -14,8 +14,8 @@ import numpy as np
 from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording
 from benchsim.bench.writing import write_text
-from benchsim.diagnosis.classes import CLOSE, Space, separation, space
-from benchsim.diagnosis.limits import SIGMAS, limits
+from benchsim.diagnosis.degeneracy import CLOSE, Space, separation, space
+from benchsim.diagnosis.detection_limits import SIGMAS, limits
 from benchsim.diagnosis.linear import linearise
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.result import Limit

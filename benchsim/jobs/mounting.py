@@ -16,7 +16,7 @@ from benchsim import diagnosis
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis import linear
-from benchsim.diagnosis.attachments import absorb
+from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis, chosen

@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.diagnosis import evidence
-from benchsim.diagnosis.classes import CLOSE, bounds
+from benchsim.diagnosis.degeneracy import CLOSE, bounds
 from benchsim.diagnosis.fitting import RENEWALS, Start, fitted
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, whitener
 from benchsim.diagnosis.linear import Linear, columns, fit_value, linearise, predict_all, value_of, whiten

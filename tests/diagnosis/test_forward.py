@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 from toy import toy
 
-from benchsim.diagnosis import forward, held_out, linear
+from benchsim.diagnosis import cross_validation, forward, linear
 
 NOTHING = SimpleNamespace(fits=())
 
@@ -25,8 +25,8 @@ def records(truth, seed=0, wrong=0, blocks=24):
 
 def test_neighbours_in_time_are_left_out_together_and_settings_in_turn():
     problem = toy(blocks=12)
-    assert held_out.in_turn(problem).tolist() == [0, 1, 2, 3, 4, 5] * 2
-    assert held_out.in_turn(records({}, blocks=12)).tolist() == sorted([0, 1, 2, 3, 4, 5] * 2)
+    assert cross_validation.in_turn(problem).tolist() == [0, 1, 2, 3, 4, 5] * 2
+    assert cross_validation.in_turn(records({}, blocks=12)).tolist() == sorted([0, 1, 2, 3, 4, 5] * 2)
 
 
 def test_the_effect_that_predicts_is_found_and_no_other():

@@ -9,7 +9,7 @@ import lines
 import numpy as np
 import pytest
 
-from benchsim.diagnosis import classes, linear, name, settings
+from benchsim.diagnosis import degeneracy, linear, name, settings
 from benchsim.diagnosis.problem import Problem
 
 AMPLITUDES = [p for e in lines.CATALOGUE for p in e.parameters if not p.grid]
@@ -18,7 +18,7 @@ SURE = 0.99
 
 def probability(found):
     names = [e.name for e in lines.CATALOGUE]
-    return classes.weighed(found, True).present([*names, settings.NAME])
+    return degeneracy.weighed(found, True).present([*names, settings.NAME])
 
 
 def sure(found):

@@ -13,7 +13,7 @@ import pytest
 from toy import toy
 
 from benchsim.diagnosis import diagnose, naming
-from benchsim.diagnosis.judging import judge
+from benchsim.diagnosis.decision import judge
 
 
 def test_clean_lines_lack_nothing_and_the_limits_are_stated():

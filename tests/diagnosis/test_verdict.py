@@ -7,8 +7,8 @@ import pytest
 from toy import toy
 
 from benchsim.diagnosis import settings
-from benchsim.diagnosis.attachments import Attached
-from benchsim.diagnosis.classes import Claim, Weighed
+from benchsim.diagnosis.degeneracy import Claim, Weighed
+from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.fits import Fit
 from benchsim.diagnosis.remainder import Family, Remainder
 from benchsim.diagnosis.result import VERDICTS, Location

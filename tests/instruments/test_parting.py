@@ -14,7 +14,7 @@ import pytest
 from benchsim import rays
 from benchsim.bench.curve import signed_distance
 from benchsim.bench.files import read
-from benchsim.diagnosis import classes
+from benchsim.diagnosis import degeneracy
 from benchsim.diagnosis.naming import name
 from benchsim.instruments.bench import further, observables, parting
 from benchsim.instruments.bench.observed import beside
@@ -131,7 +131,7 @@ def test_parted_lines_are_named_for_the_facets_and_shaking_is_not(parted_problem
     # 1.5 mrad rms are a wobble of √2 as much.
     size = best.values.get("tilt_rms", 0.0) + best.values.get("wob_c", 0.0) / np.sqrt(2)
     assert size == pytest.approx(1.5, rel=0.05)
-    p = classes.weighed(found, True).present(["vibration", "astigmatism"])
+    p = degeneracy.weighed(found, True).present(["vibration", "astigmatism"])
     assert max(p.values()) < 0.05
 
 

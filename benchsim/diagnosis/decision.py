@@ -8,21 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis import (
-    attachments,
-    classes,
+    cross_validation,
+    degeneracy,
+    discrepancy,
     evidence,
     forward,
-    held_out,
     location,
     predictive,
     remainder,
     settings,
     verdict,
 )
-from benchsim.diagnosis.attachments import Attached
-from benchsim.diagnosis.classes import Claim, Space, Weighed
+from benchsim.diagnosis.cross_validation import Fold
+from benchsim.diagnosis.degeneracy import Claim, Space, Weighed
+from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.fits import Effects, Fit, Naming
-from benchsim.diagnosis.held_out import Fold
 from benchsim.diagnosis.linear import Linear, factors, linearise, marginal, nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.location import Explanation
 from benchsim.diagnosis.problem import Problem
@@ -64,7 +64,7 @@ class Judged:
     """What is said, before it is tested on settings left out.
 
     ``on`` is the hypothesis that is stated, the null where no name is; ``best`` is the catalogue's in either case.
-    ``folds`` are those of `held_out` about ``best``; ``classes`` what is left open.
+    ``folds`` are those of `cross_validation` about ``best``; ``degeneracy`` what is left open.
     """
 
     verdict: str
@@ -74,7 +74,7 @@ class Judged:
     on: Fit
     best: Best
     findings: Findings
-    prepared: tuple[attachments.Prepared, ...]
+    prepared: tuple[discrepancy.Prepared, ...]
     folds: tuple[Fold, ...]
     notes: tuple[str, ...]
 
@@ -83,11 +83,11 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     """Let names and functions without a name compete, look for what is left, and apply the rules."""
     notes: list[str] = []
     best = _best(problem, naming, notes)
-    prepared = attachments.prepare(problem, naming.noise.covariance)
+    prepared = discrepancy.prepare(problem, naming.noise.covariance)
     free = _weigh(problem, naming, prepared, naming.null, best.fit)
     more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
     modes = remainder.modes(problem, naming.linear, naming.noise.covariance)
-    many = held_out.folds(problem, naming, classes.about(naming.linear, best.fit))
+    many = cross_validation.folds(problem, naming, degeneracy.about(naming.linear, best.fit))
     left_null = _left(problem, naming, naming.null, modes)
     left = _left(problem, naming, best.fit, modes) if best.fit.effects else left_null
     findings = Findings(
@@ -222,7 +222,7 @@ def _further(
     out = []
     if more:
         white, _ = whiten(problem, naming.noise.covariance, more[0].attachment.basis)
-        base = attachments.absorb(problem, more[0].linear)
+        base = discrepancy.absorb(problem, more[0].linear)
         shift = white @ more[0].coefficients
         pull, _ = nuisance_posterior(base, shift, more[0].scale)
         seen = shift - base.nuisance @ pull
@@ -267,29 +267,29 @@ def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...]
     least = min((z.get(h, np.inf) for h in suspects), default=np.inf)
     # What is more probable than an alternative is one too.
     others = [h for h in z if len(h) == 1 and h not in suspects and z[h] > least]
-    listed = sorted([(), *suspects, *others], key=lambda h: -z.get(h, -np.inf))[: classes.MEMBERS]
+    listed = sorted([(), *suspects, *others], key=lambda h: -z.get(h, -np.inf))[: degeneracy.MEMBERS]
     return (tuple(listed),) if suspects else ()
 
 
 def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
     """The most probable converged hypothesis, without the effects that are not likely."""
-    weighed = classes.weighed(naming, problem.stated)
+    weighed = degeneracy.weighed(naming, problem.stated)
     z = weighed.log_evidence
     fits = {f.effects: f for f in naming.fits if f.converged and f.effects} | {(): naming.null}
-    within = classes.space(problem, naming.linear, naming.null.setting_scale)
+    within = degeneracy.space(problem, naming.linear, naming.null.setting_scale)
     nothing = np.zeros(len(naming.linear.names))
     null = Best(naming.null, (), None, weighed, naming.linear, within, nothing)
     effects = max((h for h in z if h and _of(h) in fits), key=lambda h: z[h], default=())
     while effects:
         fit = fits[_of(effects)]
-        linear = classes.about(naming.linear, fit)
-        within = classes.space(problem, linear, fit.setting_scale)
-        signal = classes.amplitude_vector(problem, naming.linear.names, fit)
-        hypotheses = classes.complete(weighed, effects, within)
-        kept = classes.likely(hypotheses, effects, signal, within)
+        linear = degeneracy.about(naming.linear, fit)
+        within = degeneracy.space(problem, linear, fit.setting_scale)
+        signal = degeneracy.amplitude_vector(problem, naming.linear.names, fit)
+        hypotheses = degeneracy.complete(weighed, effects, within)
+        kept = degeneracy.likely(hypotheses, effects, signal, within)
         if kept and (kept == effects or _of(kept) not in fits):
             # What was never refitted supports no claim: the larger set keeps its place.
-            claim = classes.claim(hypotheses, effects, signal, within)
+            claim = degeneracy.claim(hypotheses, effects, signal, within)
             return Best(fit, effects, claim, hypotheses, linear, within, signal)
         # What is more likely than not is said of what is open (`_besides`).
         dropped = [e for e in effects if e not in kept and hypotheses.probability([(e,)]) < verdict.SUSPECTED]
@@ -307,25 +307,25 @@ def _of(effects: Effects) -> Effects:
 def _beside(problem: Problem, naming: Naming, best: Best, laid: Attached) -> Best:
     """The claim where a function without a name lies on it: what that can imitate does not tell rivals apart."""
     white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
-    linear = attachments.with_columns(best.linear, white @ laid.root)
-    within = classes.space(problem, linear, best.fit.setting_scale)
-    claim = classes.claim(best.hypotheses, best.effects, best.signal, within)
+    linear = discrepancy.with_columns(best.linear, white @ laid.root)
+    within = degeneracy.space(problem, linear, best.fit.setting_scale)
+    claim = degeneracy.claim(best.hypotheses, best.effects, best.signal, within)
     return replace(best, claim=claim, linear=linear, space=within)
 
 
 def _weigh(
-    problem: Problem, naming: Naming, prepared: tuple[attachments.Prepared, ...], on: Fit, best: Fit
+    problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], on: Fit, best: Fit
 ) -> tuple[Attached, ...]:
     """All attachments on one hypothesis, those that could matter beside the best about their own nuisances."""
     rival = max(on.log_evidence, best.log_evidence)
-    laid = [(a, 0) for a in attachments.weigh(problem, naming, prepared, on)]
+    laid = [(a, 0) for a in discrepancy.weigh(problem, naming, prepared, on)]
     if on is naming.null and not on.converged and best.effects:
         # Settings that were bent on the way to no fit may be where no function shows what it can do: those that go with
         # the best names are looked from, too.
         at = {q.name: best.values[q.name] for q in problem.nuisances}
         linear = linearise(problem, at, (), naming.noise.covariance)
-        known = attachments.evidence_about(problem, naming, on, linear)
-        more = attachments.weigh(problem, naming, prepared, on, linear=linear, log_evidence=known)
+        known = discrepancy.evidence_about(problem, naming, on, linear)
+        more = discrepancy.weigh(problem, naming, prepared, on, linear=linear, log_evidence=known)
         laid = sorted([*laid, *((a, 1) for a in more)], key=lambda own: -own[0].log_evidence)
 
     def key(own: tuple[Attached, int]) -> tuple[str, int]:
@@ -340,7 +340,7 @@ def _weigh(
         if not top or top[0][0].log_evidence < rival - CONCERN:
             break
         seen.add(key(top[0]))
-        again = attachments.refine(problem, naming, prepared, top[0][0], on, rival - verdict.NAMED_MARGIN)
+        again = discrepancy.refine(problem, naming, prepared, top[0][0], on, rival - verdict.NAMED_MARGIN)
         laid = [(again, own[1]) if key(own) == key(top[0]) else own for own in laid]
         laid.sort(key=lambda own: -own[0].log_evidence)
     best_of: dict[str, Attached] = {}
@@ -350,7 +350,7 @@ def _weigh(
 
 
 def _apart(
-    problem: Problem, naming: Naming, prepared: tuple[attachments.Prepared, ...], best: Best
+    problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], best: Best
 ) -> dict[str, float]:
     """By how much each of several names beats, beside the others, the best function of another element in its place.
 
@@ -363,7 +363,7 @@ def _apart(
         if rest is None:
             continue
         other = tuple(p for p in prepared if p.attachment.element != element[e])
-        laid = attachments.weigh(problem, naming, other, rest)
+        laid = discrepancy.weigh(problem, naming, other, rest)
         if laid and best.fit.log_evidence - laid[0].log_evidence < verdict.NAMED_MARGIN:
             laid = _weigh(problem, naming, other, rest, best.fit)
         if laid:
@@ -374,7 +374,7 @@ def _apart(
 def _left(problem: Problem, naming: Naming, fit: Fit, modes: remainder.Modes) -> remainder.Remainder:
     free = naming.noise.freedom
     lower = tuple(factors(naming.noise.covariance))
-    base = attachments.absorb(problem, fit.linear)
+    base = discrepancy.absorb(problem, fit.linear)
     return remainder.remainder(base, modes, fit.setting_scale, free, lower, problem.kind)
 
 
@@ -383,7 +383,7 @@ def _with(
 ) -> tuple[Linear, remainder.Remainder]:
     """The problem with a function on it, and what the smooth modes leave then."""
     white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
-    with_it = attachments.with_columns(attachments.absorb(problem, laid.linear), white @ laid.root)
+    with_it = discrepancy.with_columns(discrepancy.absorb(problem, laid.linear), white @ laid.root)
     return with_it, remainder.remainder(with_it, modes, laid.scale, naming.noise.freedom)
 
 
@@ -392,7 +392,7 @@ def _place(problem: Problem, naming: Naming, best: Best, findings: Findings, mod
     covariance, on = naming.noise.covariance, best.fit if findings.stands else naming.null
     rest = findings.stands and findings.something_left
     base = on if rest else naming.null
-    ground = attachments.absorb(problem, base.linear)
+    ground = discrepancy.absorb(problem, base.linear)
     explanations = []
     coordinate: dict[str, str] = {}
     for laid in findings.more if rest else findings.free:

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from toy import toy
 
-from benchsim.diagnosis import attachments, held_out, laws, naming
+from benchsim.diagnosis import cross_validation, discrepancy, naming, new_law
 
 
 def law_of(truth, seed, attachment, **options):
     problem = toy(truth, seed, **options)
     found = naming.name(problem)
-    prepared = attachments.prepare(problem, found.noise.covariance)
-    laid = next(a for a in attachments.weigh(problem, found, prepared) if a.attachment.name == attachment)
-    many = held_out.folds(problem, found, found.linear)
-    return laws.law(problem, found, found.null, laid, many)
+    prepared = discrepancy.prepare(problem, found.noise.covariance)
+    laid = next(a for a in discrepancy.weigh(problem, found, prepared) if a.attachment.name == attachment)
+    many = cross_validation.folds(problem, found, found.linear)
+    return new_law.law(problem, found, found.null, laid, many)
 
 
 def test_a_square_is_found_as_a_square():
@@ -52,13 +52,13 @@ def test_a_function_of_the_wrong_coordinate_has_no_law():
 
 
 def test_gain_needs_half_and_three_sigma():
-    assert laws.gain([(100.0, 1.0, 4.0), (120.0, 2.0, 4.0), (90.0, -3.0, 4.0)], 50).holds
+    assert new_law.gain([(100.0, 1.0, 4.0), (120.0, 2.0, 4.0), (90.0, -3.0, 4.0)], 50).holds
     # Half is not reached.
-    assert not laws.gain([(1000.0, 600.0, 4.0)] * 4, 50).holds
+    assert not new_law.gain([(1000.0, 600.0, 4.0)] * 4, 50).holds
     # One fold carries all of it: the jackknife says so.
-    assert not laws.gain([(1000.0, 10.0, 4.0), (10.0, 300.0, 4.0), (10.0, 50.0, 4.0)], 50).holds
+    assert not new_law.gain([(1000.0, 10.0, 4.0), (10.0, 300.0, 4.0), (10.0, 50.0, 4.0)], 50).holds
     # Nothing to take away.
-    assert not laws.gain([(-5.0, -6.0, 1.0)] * 3, 50).holds
+    assert not new_law.gain([(-5.0, -6.0, 1.0)] * 3, 50).holds
 
 
 def test_fewer_than_three_settings_publish_nothing():
@@ -70,5 +70,5 @@ def test_terms_carry_the_coordinates_names_and_units():
     a = toy().attachments[0]
     knots = np.array([[y, z] for y in (-200.0, 200.0) for z in (-100.0, 0.0, 100.0)])
     two = type(a)(**{**vars(a), "coordinate": "board y, z", "knots": knots, "component": np.array([0, 0, 0, 1, 1, 1])})
-    printed = laws._printed(two, [laws.Monomial(0, (1, 2)), laws.Monomial(1, (0, 0))], np.array([4.0, 1.0]))
+    printed = new_law._printed(two, [new_law.Monomial(0, (1, 2)), new_law.Monomial(1, (0, 0))], np.array([4.0, 1.0]))
     assert printed == {"y z^2 [0]": pytest.approx(4.0 / 200 / 100**2), "1 [1]": 1.0}

@@ -22,8 +22,8 @@ from scipy.linalg import cho_solve
 
 from benchsim.diagnosis import noise as noises
 from benchsim.diagnosis import screen
-from benchsim.diagnosis.attachments import Attached, Prepared, kernel_root, smooth_functions, weigh, whitened
-from benchsim.diagnosis.classes import estimate, space
+from benchsim.diagnosis.degeneracy import estimate, space
+from benchsim.diagnosis.discrepancy import Attached, Prepared, kernel_root, smooth_functions, weigh, whitened
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects, Naming, Noise
 from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, precision, whiten
@@ -83,7 +83,8 @@ def folds(problem: Problem, naming: Naming, linear: Linear, laid: Attached | Non
     problem : Problem
     naming : Naming
     linear : Linear
-        The whole catalogue's amplitudes about the best fit (`classes.about`); the naming's own where nothing was found.
+        The whole catalogue's amplitudes about the best fit (`degeneracy.about`); the naming's own where nothing was
+        found.
     laid : Attached, optional
         The function that stands in for what has no name. What it leaves is the noise; what it explains is not, and
         would otherwise be taken for errors that neighbours share.

@@ -9,8 +9,8 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from toy import toy
 
-from benchsim.diagnosis import attachments, naming
-from benchsim.diagnosis.attachments import PRESENCE, kernel_root
+from benchsim.diagnosis import discrepancy, naming
+from benchsim.diagnosis.discrepancy import PRESENCE, kernel_root
 from benchsim.diagnosis.linear import linearise, nuisance_posterior, predict_all, whiten
 
 SNR_ONE = {"bow": 1 / 89.6, "lean": 1 / 58.2, "creep": 1 / 6.11}
@@ -29,7 +29,7 @@ def test_the_kernel_falls_with_distance_and_not_across_components():
 def test_evidence_is_the_dense_gaussian_integral():
     problem = toy({"bow": 0.1}, 1, blocks=3)
     found = naming.name(problem)
-    laid = attachments.weigh(problem, found, attachments.prepare(problem, found.noise.covariance))
+    laid = discrepancy.weigh(problem, found, discrepancy.prepare(problem, found.noise.covariance))
     null, covariance = found.null, found.noise.covariance
     got = next(a for a in laid if a.attachment.name == "mirror.lean")
     white, _ = whiten(problem, covariance, got.attachment.basis)
@@ -55,12 +55,12 @@ def test_a_column_that_grew_beyond_reason_leaves_the_evidence_finite():
     """Near a caustic a derivative can be 1e9 sigma per prior sigma: the data then fix that nuisance, and no more."""
     problem = toy({"bow": 0.1}, 1, blocks=3)
     found = naming.name(problem)
-    prepared = attachments.prepare(problem, found.noise.covariance)
+    prepared = discrepancy.prepare(problem, found.noise.covariance)
     wild = np.random.default_rng(5).standard_normal((len(problem.data), 1))
 
     def gains(*columns):
-        linear = attachments.with_columns(found.null.linear, np.concatenate(columns, axis=1))
-        laid = attachments.weigh(problem, found, prepared, linear=linear)
+        linear = discrepancy.with_columns(found.null.linear, np.concatenate(columns, axis=1))
+        laid = discrepancy.weigh(problem, found, prepared, linear=linear)
         return {a.attachment.name: a.log_evidence for a in laid}
 
     assert gains(1e9 * wild, 1e9 * wild) == pytest.approx(gains(1e4 * wild), abs=1e-3)
@@ -72,7 +72,7 @@ def contest(truth, seeds, **options):
     for seed in seeds:
         problem = toy(truth, seed, **options)
         found = naming.name(problem)
-        laid = attachments.weigh(problem, found, attachments.prepare(problem, found.noise.covariance))
+        laid = discrepancy.weigh(problem, found, discrepancy.prepare(problem, found.noise.covariance))
         out.append(max(f.log_evidence for f in found.fits if f.converged) - laid[0].log_evidence)
     return np.array(out)
 
@@ -112,9 +112,9 @@ def test_a_function_is_weighed_about_its_own_nuisances():
     data = np.concatenate([model(at, b) for b in range(8)]) + noise
     problem = replace(problem, predict=model, data=data)
     found = naming.name(problem)
-    prepared = attachments.prepare(problem, found.noise.covariance)
-    first = next(a for a in attachments.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
-    again = attachments.refine(problem, found, prepared, first, found.null)
+    prepared = discrepancy.prepare(problem, found.noise.covariance)
+    first = next(a for a in discrepancy.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
+    again = discrepancy.refine(problem, found, prepared, first, found.null)
     wrong = []
     for laid in (first, again):
         white, _ = whiten(problem, found.noise.covariance, laid.attachment.basis)
@@ -136,15 +136,15 @@ def test_what_a_function_promises_and_the_prediction_does_not_keep_is_taken_off(
     to nothing. The exact prediction knows better, and the function loses by what is left."""
     problem = toy({"bow": 0.3}, 5, without=("bow",))
     found = naming.name(problem)
-    prepared = attachments.prepare(problem, found.noise.covariance)
-    first = next(a for a in attachments.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
+    prepared = discrepancy.prepare(problem, found.noise.covariance)
+    first = next(a for a in discrepancy.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
     white, _ = whiten(problem, found.noise.covariance, first.attachment.basis)
     function = white @ first.coefficients
-    honest = attachments._checked(problem, found, first, function, found.null)
+    honest = discrepancy._checked(problem, found, first, function, found.null)
     assert honest.log_evidence == pytest.approx(first.log_evidence, abs=0.1)
     empty = replace(first.linear, residual=np.zeros(len(function)), nuisance=np.zeros_like(first.linear.nuisance))
     promising = replace(first, linear=replace(empty, residual=function))
-    checked = attachments._checked(problem, found, promising, function, found.null)
+    checked = discrepancy._checked(problem, found, promising, function, found.null)
     seen, _ = whiten(problem, found.noise.covariance, problem.data - predict_all(problem, {}))
     left = 0.5 * float(np.sum((seen - function) ** 2))
     assert left > 100
@@ -157,5 +157,5 @@ def test_a_null_is_as_probable_about_any_point_where_all_is_linear():
     at = {p.name: 0.4 * p.sigma for p in problem.nuisances if "shift" not in p.name}
     for point in (found.null.values, {**found.null.values, **at}):
         linear = linearise(problem, point, (), found.noise.covariance)
-        same = attachments.evidence_about(problem, found, found.null, linear)
+        same = discrepancy.evidence_about(problem, found, found.null, linear)
         assert same == pytest.approx(found.null.log_evidence, abs=0.1)

@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import lsq_linear
 from toy import toy
 
-from benchsim.diagnosis import classes
-from benchsim.diagnosis.classes import Space, Weighed, claim, likely, separation
-from benchsim.diagnosis.following import gram_with
+from benchsim.diagnosis import degeneracy
+from benchsim.diagnosis.degeneracy import Space, Weighed, claim, likely, separation
 from benchsim.diagnosis.linear import linearise
+from benchsim.diagnosis.next_experiment import gram_with
 from benchsim.diagnosis.problem import Further, Parameter
 
 
@@ -24,7 +24,7 @@ def vector(linear, **values):
 def test_distance_is_what_a_bounded_fit_leaves(rival):
     problem = toy()
     linear = whole(problem)
-    within = classes.space(problem, linear, 1.0)
+    within = degeneracy.space(problem, linear, 1.0)
     signal = vector(linear, bow=0.2, lens_b=0.7)
     # Dense: amplitudes within caps and nuisances with their priors as further data.
     places = within.places(rival)
@@ -173,7 +173,7 @@ def test_a_further_recording_counts_as_if_it_were_there():
         priors,
         {n: full.effect[last, i] for i, n in enumerate(full.names)},
     )
-    expected = classes.space(eight, full, 2.0).gram
+    expected = degeneracy.space(eight, full, 2.0).gram
     assert gram_with(seven, part, 2.0, more) == pytest.approx(expected, rel=1e-8, abs=1e-6)
 
 
@@ -194,7 +194,7 @@ def test_a_size_that_rests_on_another_effects_absence_says_so():
         return Space(columns.T @ columns, columns.T @ data, np.ones(3), -size, size, index)
 
     both = np.array([0.6, 4.0 / (100 * np.sqrt(1 - 0.995**2)), 0.0])
-    assert classes.companion(("one",), within(both)) == "like"
+    assert degeneracy.companion(("one",), within(both)) == "like"
     # Nothing of it is wanted, or what is wanted leaves the claimed size where it was.
-    assert classes.companion(("one",), within(np.array([1.0, 0.0, 0.0]))) is None
-    assert classes.companion(("one",), within(np.array([1.0, 0.0, 0.3]))) is None
+    assert degeneracy.companion(("one",), within(np.array([1.0, 0.0, 0.0]))) is None
+    assert degeneracy.companion(("one",), within(np.array([1.0, 0.0, 0.3]))) is None

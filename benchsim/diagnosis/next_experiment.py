@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.classes import Space, separation
+from benchsim.diagnosis.degeneracy import Space, separation
 from benchsim.diagnosis.fits import Effects
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import Further, Problem

@@ -15,9 +15,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.attachments import Attached, absorb, prepare, weigh, whitened
+from benchsim.diagnosis.cross_validation import Fold, best_scale, excess, only
+from benchsim.diagnosis.discrepancy import Attached, absorb, prepare, weigh, whitened
 from benchsim.diagnosis.fits import Fit, Naming
-from benchsim.diagnosis.held_out import Fold, best_scale, excess, only
 from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, whiten
 from benchsim.diagnosis.problem import Attachment, Problem
 from benchsim.diagnosis.result import Law
@@ -147,7 +147,7 @@ def law(problem: Problem, naming: Naming, on: Fit, laid: Attached, many: Sequenc
     laid : Attached
         The attachment, fitted to all data.
     many : sequence of Fold
-        Of `held_out.folds` about ``on``'s linearisation.
+        Of `cross_validation.folds` about ``on``'s linearisation.
 
     Returns
     -------

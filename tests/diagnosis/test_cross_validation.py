@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from toy import toy
 
-from benchsim.diagnosis import attachments, classes, diagnose, held_out, naming
+from benchsim.diagnosis import cross_validation, degeneracy, diagnose, discrepancy, naming
 
 
 def prepared(problem):
@@ -14,8 +14,8 @@ def prepared(problem):
     best = next(f for f in found.fits if f.converged)
     return (
         found,
-        held_out.folds(problem, found, classes.about(found.linear, best)),
-        attachments.prepare(problem, found.noise.covariance),
+        cross_validation.folds(problem, found, degeneracy.about(found.linear, best)),
+        discrepancy.prepare(problem, found.noise.covariance),
     )
 
 
@@ -26,7 +26,7 @@ def test_clean_settings_have_no_excess():
     for seed in range(10):
         problem = toy(seed=300 + seed)
         _, many, ready = prepared(problem)
-        shown = held_out.show(problem, many, ready)
+        shown = cross_validation.show(problem, many, ready)
         z.append(shown.held_out.excess_chi2_after / shown.held_out.sigma)
         assert shown.held_out.data == len(problem.data) and shown.held_out.folds == 6
     assert abs(np.mean(z)) < 1
@@ -47,7 +47,7 @@ def test_every_setting_is_left_out_once_with_all_its_lines():
 def test_fewer_than_three_settings_cannot_be_left_out():
     problem = toy(blocks=4, per_group=2)
     _, many, ready = prepared(problem)
-    assert many == () and held_out.show(problem, many, ready) is None
+    assert many == () and cross_validation.show(problem, many, ready) is None
 
 
 def test_a_fold_knows_nothing_of_what_it_leaves_out():
@@ -55,12 +55,12 @@ def test_a_fold_knows_nothing_of_what_it_leaves_out():
     problem = toy({"bow": 0.2}, 7)
     found, many, ready = prepared(problem)
     best = next(f for f in found.fits if f.converged)
-    before = held_out.predict(problem, many[2], ready)
+    before = cross_validation.predict(problem, many[2], ready)
     spoilt = np.where(many[2].test, 40.0 * np.sin(np.arange(len(problem.data))), 0.0)
-    lines = classes.about(found.linear, best)
+    lines = degeneracy.about(found.linear, best)
     spoilt_null = replace(found, linear=replace(found.linear, residual=found.linear.residual + spoilt))
-    again = held_out.folds(problem, spoilt_null, replace(lines, residual=lines.residual + spoilt))[2]
-    after = held_out.predict(problem, again, ready)
+    again = cross_validation.folds(problem, spoilt_null, replace(lines, residual=lines.residual + spoilt))[2]
+    after = cross_validation.predict(problem, again, ready)
     assert after.chosen == before.chosen == "bow"
     assert after.scale == before.scale
     assert again.naming.noise.scale == many[2].naming.noise.scale
@@ -74,7 +74,7 @@ def test_a_fold_knows_nothing_of_what_it_leaves_out():
 def test_a_large_effect_is_taken_away_by_folds_that_never_saw_the_setting():
     problem = toy({"bow": 0.6, "lens_b": 1.0}, 8)
     _, many, ready = prepared(problem)
-    shown = held_out.show(problem, many, ready)
+    shown = cross_validation.show(problem, many, ready)
     assert shown.held_out.excess_chi2_before > 60 * np.sqrt(2 * len(problem.data))
     assert shown.held_out.fraction_removed > 0.95
     # Each fold chooses by itself, and may prefer either lens.
@@ -86,7 +86,7 @@ def test_a_large_effect_is_taken_away_by_folds_that_never_saw_the_setting():
 def test_where_the_effect_has_no_name_a_function_is_chosen():
     problem = toy({"warp": 0.3}, 9)
     _, many, ready = prepared(problem)
-    shown = held_out.show(problem, many, ready)
+    shown = cross_validation.show(problem, many, ready)
     assert set(shown.chosen) == {"mirror.lean"}
     assert shown.held_out.fraction_removed > 0.8
 

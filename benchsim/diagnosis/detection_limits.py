@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.classes import Space
+from benchsim.diagnosis.degeneracy import Space
 from benchsim.diagnosis.fits import Effects
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Limit
