@@ -38,6 +38,7 @@ import numpy as np
 import stress
 import study_cases as draw
 import study_score as score
+import study_search
 import study_words as words
 
 from benchsim import diagnosis
@@ -147,9 +148,12 @@ def design(row: str) -> str:
 def diagnosed(problem: Problem, truth: draw.Truth) -> tuple[Diagnosis, Part]:
     """The verdict, and what of it the case's line holds."""
     start = time.process_time()
-    d = diagnosis.diagnose(problem)
+    found = diagnosis.name(problem)
+    d = diagnosis.conclude(problem, found)
     spent = time.process_time() - start
     line = {"parameter_pulls": pulls_of(d, truth), "limit_stated": limits_stated(d, truth), "cpu_s": spent}
+    if truth.effects and {*truth.effects} <= {e.name for e in problem.catalogue}:
+        line["truth_ahead"] = study_search.ahead(problem, found, truth.effects)
     return d, {**verdict_of(sizes.sized(problem, d)), **line}
 
 

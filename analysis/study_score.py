@@ -30,6 +30,9 @@ STD = (0.9, 1.15)
 FAR = 0.015
 """Bars of the parameters' (estimate − truth)/σ: standard deviation about zero, and share beyond 3."""
 
+LOST = 0.5
+"""ln Z."""
+
 WIDTH = 100
 """Of the quantities' names."""
 
@@ -150,6 +153,7 @@ def table(cases: Iterable[Case]) -> str:
         lines.append(row(f"{title}: anything named{more}", group, alarm, bar, at_least=False))
         lines.append(row(f"{title}: 'nothing-missing'{or_so}", group, passed if far else quiet, 1 - bar))
     lines += outside([c for key in OUTSIDE for c in of.get(key, [])])
+    lines.append(found(every))
     known = told(every)
     lines += sizes([x for c in known if exact(c) for x in c["parameter_pulls"]])
     lines += removed("named", [c["held_out"] for c in known if exact(c) and c["held_out"]], 0.95)
@@ -166,6 +170,13 @@ def table(cases: Iterable[Case]) -> str:
     whole = [c for c in anew if exact(c) or holds(c)]
     lines.append(row("    of these with all that was concealed named or in a class", whole, nothing_more))
     return "\n".join([*lines, *silent(of)])
+
+
+def found(cases: Sequence[Case]) -> str:
+    """Of the search alone, whatever is said then."""
+    begun = [c for c in cases if "truth_ahead" in c]
+    title = f"search: the fit that begins at the truth lies at most {LOST} in ln Z above the best found"
+    return row(title, begun, lambda c: c["truth_ahead"] <= LOST, 0.99)
 
 
 def quiet(case: Case) -> bool:
@@ -197,7 +208,7 @@ def stressed(cases: Sequence[Case]) -> str:
             row(f"{title}: clean, anything named", clean, lambda c: bool(c["named"])),
             row(f"{title}: a rest is stated with its size", mine, lambda c: bool(c["left"])),
         ]
-    return "\n".join(lines)
+    return "\n".join([*lines, found(cases)])
 
 
 def naming(name: str, group: Sequence[Case], bars: Sequence[tuple[float, float]]) -> list[str]:

@@ -58,8 +58,9 @@ def diagnose(problem: Problem, progress: Progress | None = None) -> Diagnosis:
     return conclude(problem, name(problem, lambda what, done: tell(what, 0.6 * done)), tell)
 
 
-def conclude(problem: Problem, naming: Naming, tell: Progress) -> Diagnosis:
+def conclude(problem: Problem, naming: Naming, progress: Progress | None = None) -> Diagnosis:
     """Everything after the hypotheses of the catalogue have been weighed."""
+    tell = progress or (lambda what, done: None)
     tell("functions without a name", 0.62)
     judged = judge(problem, naming)
     said, place, on, best, findings = judged.verdict, judged.place, judged.on, judged.best, judged.findings
