@@ -27,11 +27,9 @@ from scipy.special import logsumexp
 from benchsim.diagnosis.fits import Fit, Naming
 from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, precision, predict_all, whiten
 from benchsim.diagnosis.problem import Attachment, Parameter, Problem
+from benchsim.diagnosis.screen import PRESENCE
 
 Array = NDArray[np.float64]
-
-PRESENCE = 0.02
-"""Prior probability that any attachment at all is there: that of one effect of the catalogue."""
 
 VISIBLE = 1e-6
 """Directions whose signal at the largest plausible rms has a variance below this, in that of the noise, are dropped."""
