@@ -165,12 +165,13 @@ def verdict(findings: Findings, location: Location | None) -> str:
 
 def confidence(name: str, probability: float, findings: Findings) -> str | None:
     """ "named", "probable", "provisional", or None where it may not be said; of an effect without close rivals."""
-    sound, margin = not findings.refuted, findings.lead(name)
-    if sound and probability >= SURE and margin >= NAMED_MARGIN:
-        return "named"
-    if sound and probability >= LIKELY and margin >= PROBABLE_MARGIN:
-        return "probable"
-    return "provisional" if findings.written else None
+    margin, better = findings.lead(name), findings.predicted is not None and findings.predicted > 0
+    likely = probability >= LIKELY and margin >= PROBABLE_MARGIN
+    if likely and not findings.refuted:
+        return "named" if probability >= SURE and margin >= NAMED_MARGIN else "probable"
+    # What the data ask for, and what predicts better at all, is not taken back for what is left beside it: a defect that
+    # is anew in every setting makes folds scatter, so that 3 sigma are not to be had of an effect of twelve.
+    return "provisional" if findings.written or (likely and better) else None
 
 
 def found(

@@ -131,6 +131,10 @@ def test_beside_a_function_that_outdoes_it_a_name_is_not_said():
         (0.999, 30.0, {"apart": {"plume": -0.1}}, "named"),
         (0.999, 30.0, {"refuted": True}, None),
         (0.999, 30.0, {"refuted": True, "predicted": 9.0}, "provisional"),
+        # What it leaves doubts the name, not that something of it is there: it is kept where it predicts better at all.
+        (0.999, 30.0, {"refuted": True, "predicted": 1.0}, "provisional"),
+        (0.999, 30.0, {"refuted": True, "predicted": -1.0}, None),
+        (0.999, -0.1, {"refuted": True, "predicted": 1.0}, None),
     ],
 )
 def test_thresholds(probability, margin, also, said):
