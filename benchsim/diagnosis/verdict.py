@@ -169,8 +169,8 @@ def confidence(name: str, probability: float, findings: Findings) -> str | None:
     likely = probability >= LIKELY and margin >= PROBABLE_MARGIN
     if likely and not findings.refuted:
         return "named" if probability >= SURE and margin >= NAMED_MARGIN else "probable"
-    # What the data ask for, and what predicts better at all, is not taken back for what is left beside it: a defect that
-    # is anew in every setting makes folds scatter, so that 3 sigma are not to be had of an effect of twelve.
+    # What the data ask for, and what predicts better at all, is not taken back for what is left beside it: a defect
+    # that is anew in every setting makes folds scatter, so that 3 sigma are not to be had of an effect of twelve.
     return "provisional" if findings.written or (likely and better) else None
 
 
