@@ -144,3 +144,27 @@ def test_centre_line_and_marks_of_other_code_lie_where_their_covariance_says():
         kept = np.isfinite(o.marks).all(axis=1)
         pull = np.einsum("ni,nij,nj->n", o.marks[kept], np.linalg.inv(o.marks_covariance[kept]), o.marks[kept])
         assert 0.4 < pull.mean() / 2 < 1.5
+
+
+def test_one_profile_whose_light_is_not_that_of_its_neighbours_does_not_speak_for_the_line(monkeypatch):
+    """Scenario: of a clipped crest's profile all bright pixels are left out, and its flux comes out 3.6 times its
+    neighbours', its width a quarter too small, and its error as the smallest of all."""
+    if not OTHER.is_dir():
+        pytest.skip(f"photographs of other code are not at {OTHER.parent}")
+    recording, measure = read(OTHER / "clean-six" / "recording.toml"), observables.measure
+
+    def spoilt(*given, **more):
+        line = measure(*given, **more)
+        one = np.arange(len(line.flux)) == len(line.flux) - 7
+        wide = np.where(one, 0.75, 1.0)
+        return replace(line, flux=line.flux * np.where(one, 3.6, 1.0), width_mm=line.width_mm * wide,
+                       sigma_mm=line.sigma_mm * np.where(one, 0.4, 1.0))  # fmt: skip
+
+    plain = observables.observe_one(recording, 0)
+    monkeypatch.setattr(observables, "measure", spoilt)
+    seen = observables.observe_one(recording, 0)
+    for now, then, c in (
+        (seen.log_flux, plain.log_flux, plain.log_flux_covariance),
+        (seen.width2, plain.width2, plain.width2_covariance),
+    ):
+        assert np.abs(now - then).max() < 2 * np.sqrt(np.diag(c)).max()

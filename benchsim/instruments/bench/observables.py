@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Legendre
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from benchsim import rays, trace
 from benchsim.bench.curve import Curve, signed_distance
@@ -69,6 +70,11 @@ ALONG = 4
 LONE = 3.0
 """A mark whose centre lies this many robust sigma off the polynomials (root mean square of both coordinates), alone
 among its neighbours, is mismeasured (a scratch, the trace across it); noise does that once in 8000: exp(−3²)."""
+
+STRAY, ALIKE = 6.0, 31
+"""Robust sigma of log flux from the median of so many neighbours beyond which width and flux of a profile are not used:
+one whose crest is left out for the sensor's ceiling can have any, and says it knows them well. Noise does that once in
+5e8."""
 
 GROSS = 0.15
 """Residual of a corner, in sides of its mark, beyond which the mark is wrong (no dent of a board shows so)."""
@@ -327,6 +333,9 @@ def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> di
     good = (line.width_mm > 0) & (line.flux > 0) & np.isfinite(line.width_mm) & (line.saturated == 0)
     if good.sum() < 8 * SHAPE_BINS // 2:
         return no_shape()
+    light = np.log(line.flux[good])
+    away = np.abs(light - median_filter(light, ALIKE, mode="nearest"))
+    good[good] = away <= STRAY * 1.4826 * np.median(away)
     s, profile = line.s_mm[good], line.profile[good].astype(float)
     width, flux, sigma = line.width_mm[good], line.flux[good], line.sigma_mm[good]
     basis = spline_basis(profile, (profile.min(), profile.max()), (profile.max() - profile.min()) / 12)
