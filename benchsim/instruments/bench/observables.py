@@ -71,10 +71,10 @@ LONE = 3.0
 """A mark whose centre lies this many robust sigma off the polynomials (root mean square of both coordinates), alone
 among its neighbours, is mismeasured (a scratch, the trace across it); noise does that once in 8000: exp(−3²)."""
 
-STRAY, ALIKE = 6.0, 31
+STRAY, ALIKE, SLOPE = 6.0, 31, 0.1
 """Robust sigma of log flux from the median of so many neighbours beyond which width and flux of a profile are not used:
 one whose crest is left out for the sensor's ceiling can have any, and says it knows them well. Noise does that once in
-5e8."""
+5e8. What is within the last is never left out: without noise the line's own change among neighbours would be."""
 
 GROSS = 0.15
 """Residual of a corner, in sides of its mark, beyond which the mark is wrong (no dent of a board shows so)."""
@@ -335,7 +335,7 @@ def _shape(line: trace.Trace, stated: Curve, distance: Array, feet: Array) -> di
         return no_shape()
     light = np.log(line.flux[good])
     away = np.abs(light - median_filter(light, ALIKE, mode="nearest"))
-    good[good] = away <= STRAY * 1.4826 * np.median(away)
+    good[good] = away <= max(STRAY * 1.4826 * float(np.median(away)), SLOPE)
     s, profile = line.s_mm[good], line.profile[good].astype(float)
     width, flux, sigma = line.width_mm[good], line.flux[good], line.sigma_mm[good]
     basis = spline_basis(profile, (profile.min(), profile.max()), (profile.max() - profile.min()) / 12)
