@@ -29,5 +29,4 @@ def ahead(problem: Problem, found: Naming, effects: Mapping[str, Mapping[str, fl
     columns = linear.columns(problem, at, problem.nuisances) * np.array([p.sigma for p in problem.nuisances])
     prior = screen.log_prior(h.names, [e.name for e in problem.catalogue])
     (end,) = fitted(context, [Start(h, point, context.whiten(columns))], {h.names: prior}, renewals=RENEWALS)
-    best = max(f.log_evidence for f in (found.null, *found.fits) if f.converged or f is found.null)
-    return end.fit.log_evidence - best
+    return end.fit.log_evidence - found.fits[0].log_evidence

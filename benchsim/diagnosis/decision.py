@@ -64,7 +64,7 @@ class Judged:
     """What is said, before it is tested on settings left out.
 
     ``on`` is the hypothesis that is stated, the null where no name is; ``best`` is the catalogue's in either case.
-    ``folds`` are those of `cross_validation` about ``best``; ``degeneracy`` what is left open.
+    ``folds`` are those of `cross_validation` about ``best``; ``classes`` what is left open.
     """
 
     verdict: str

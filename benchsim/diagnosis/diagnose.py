@@ -148,10 +148,8 @@ def _open(
         ranked = next_experiment.rank(problem, best.linear, _scale(best), best.space, even, further)
         made.append(Class(members, _together(best, members, rest), ranked[0] if ranked else None))
     if unnamed:
-        top = sorted((h for h in best.hypotheses.log_evidence.items() if h[0]), key=lambda h: -h[1])[
-            : degeneracy.MEMBERS
-        ]
-        everyone = _alive(best, [h for h, _ in top])
+        top = sorted((h for h in best.hypotheses.log_evidence.items() if h[0]), key=lambda h: -h[1])
+        everyone = _alive(best, [h for h, _ in top[: degeneracy.MEMBERS]])
     elif not groups:
         own = best.fit.effects
         everyone = _alive(best, (own, tuple(e for e in own if e not in doubt)))

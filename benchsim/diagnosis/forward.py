@@ -122,14 +122,13 @@ def _model(problem: Problem, naming: Naming, effects: Effects) -> Model | None:
     lower = linear.factors(problem.covariance)
     whole, sigma = fitted(problem, own, lower, shapes), np.array([p.sigma for p in own])
     at = np.array([whole[p.name] for p in own]) / sigma
-    white = _white(problem, lower, whole)
     columns = linear.lowered(lower, linear.columns(problem, whole, own) * sigma)
+    target = _white(problem, lower, whole) + columns @ at
     stretch = in_turn(problem)[problem.block]
     losses = np.empty(len(problem.data))
     for s in range(int(stretch.max()) + 1):
         out = stretch == s
-        target, kept = (white + columns @ at)[~out], columns[~out]
-        x = _linear(target, kept, at, own)
+        x = _linear(target[~out], columns[~out], at, own)
         losses[out] = loss(_white(problem, lower, whole | _named(own, x * sigma))[out])
     return Model(effects, whole, losses)
 
