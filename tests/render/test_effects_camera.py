@@ -430,7 +430,7 @@ def test_charge_spills_by_the_square_of_the_brightness(sat, width):
     )
     inner = slice(20, -20)
     np.testing.assert_allclose((at - was)[inner], (sat * bright**2)[inner], atol=0.05 * abs(sat))
-    np.testing.assert_allclose(flux[inner], before[inner], rtol=1e-2)
+    np.testing.assert_allclose(flux[inner], before[inner], rtol=5e-3)
     np.testing.assert_allclose(wide[inner], narrow[inner], rtol=1e-2)
 
 
@@ -454,7 +454,7 @@ def test_the_trace_moves_with_its_brightness_as_the_field_says(scale):
     np.testing.assert_allclose(level(image)[image.argmax(axis=0), np.arange(400)][inner], bright[inner], atol=0.02)
     np.testing.assert_allclose(moved[inner], want[inner], atol=0.05 * scale)
     # A line that moves as a whole keeps its light and its width.
-    np.testing.assert_allclose(flux[inner], before[inner], rtol=1e-2)
+    np.testing.assert_allclose(flux[inner], before[inner], rtol=5e-3)
     np.testing.assert_allclose(wide[inner], narrow[inner], rtol=1e-2)
 
 
