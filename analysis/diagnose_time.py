@@ -53,7 +53,7 @@ def concealed(case: str, seed: int) -> list[str]:
     from benchsim.instruments.bench import observables
     from benchsim.instruments.bench import problem as bench_problem
     from benchsim.trial.draws import draw_effect
-    from benchsim.trial.sight import Sight
+    from benchsim.trial.visibility import Sight
 
     recording = read(SCENE)
     problem = bench_problem.build(recording, observables.simulate(recording), attached=False)

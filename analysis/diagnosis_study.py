@@ -49,7 +49,7 @@ from benchsim.bench.writing import write
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
-from benchsim.instruments.bench import amend, observables, sizes
+from benchsim.instruments.bench import amended_file, displacement, observables
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.trial.cluster import MEMORY_KEPT
 from benchsim.trial.hashing import code
@@ -154,7 +154,7 @@ def diagnosed(problem: Problem, truth: draw.Truth) -> tuple[Diagnosis, Part]:
     line = {"parameter_pulls": pulls_of(d, truth), "limit_stated": limits_stated(d, truth), "cpu_s": spent}
     if truth.effects and {*truth.effects} <= {e.name for e in problem.catalogue}:
         line["truth_ahead"] = study_search.ahead(problem, found, truth.effects)
-    return d, {**verdict_of(sizes.sized(problem, d)), **line}
+    return d, {**verdict_of(displacement.sized(problem, d)), **line}
 
 
 def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
@@ -176,8 +176,8 @@ def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
     d, line = diagnosed(without(replace(nominal, data=data), row, truth), truth)
     yield line
     if fresh and case % fresh == fresh - 1:
-        amended = amend.amended(recording, d)
-        if amend.put_in(recording, amended):
+        amended = amended_file.amended(recording, d)
+        if amended_file.put_in(recording, amended):
             # The same bench set up once more: errors of the settings and noise are new, its beam and lenses are not.
             new = draw.nuisances(nominal, truth, rng)
             again = at | {p.name: new[p.name] for p in nominal.nuisances if p.scaled}

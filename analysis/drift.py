@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchsim.instruments.mount import axes
-from benchsim.instruments.mount.further import OBLIQUITY, sun_at
+from benchsim.instruments.mount.next_recordings import OBLIQUITY, sun_at
 from benchsim.instruments.mount.records import Mount, angles
 
 Array = NDArray[np.float64]

@@ -27,7 +27,7 @@ from scipy.optimize import least_squares
 from benchsim.instruments.mount import paint, stated
 from benchsim.instruments.mount.problem import predicted
 from benchsim.instruments.mount.records import Session
-from benchsim.jobs import mounting
+from benchsim.jobs import mount_diagnosis
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def one(folder: Path, part: float) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as scratch:
         early, late = parted(folder, Path(scratch), part)
         began = time.process_time()
-        result = mounting.diagnose(early, Path(scratch) / "out", draw=False)
+        result = mount_diagnosis.diagnose(early, Path(scratch) / "out", draw=False)
         spent = time.process_time() - began
         amended = Path(scratch) / "out" / "amended.toml"
         text = amended.read_text().replace('"../early"', '"../late"')

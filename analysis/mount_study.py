@@ -26,12 +26,12 @@ from benchsim.diagnosis.linear import whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.instruments.mount import axes, effects, posing, sky
 from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.further import OBLIQUITY, aimed, sun_at
+from benchsim.instruments.mount.next_recordings import OBLIQUITY, aimed, sun_at
 from benchsim.instruments.mount.prediction import STEPS
 from benchsim.instruments.mount.records import UNITS, Actuator, Mount, Records, Session, toward
-from benchsim.jobs.mounting import diagnose_session
+from benchsim.jobs.mount_diagnosis import diagnose_session
 from benchsim.trial.draws import as_effects, draw_effect
-from benchsim.trial.sight import Sight
+from benchsim.trial.visibility import Sight
 
 Array = NDArray[np.float64]
 

@@ -51,8 +51,8 @@ from benchsim.bench.files import read
 from benchsim.bench.model import Recording
 from benchsim.instruments.bench import observables, problem
 from benchsim.instruments.bench.asymmetry import measure, pixels_of, settled
+from benchsim.instruments.bench.fitted_simulation import left_out, probable, state
 from benchsim.instruments.bench.prediction import Predict, errors
-from benchsim.instruments.bench.probable import left_out, probable, state
 from benchsim.jobs import comparing
 from benchsim.render.recording import RenderedTruth, render_recording
 

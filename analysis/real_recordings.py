@@ -24,7 +24,7 @@ from benchsim.diagnosis.result import chosen
 from benchsim.instruments.mount import paint, pointing, sky
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import Session
-from benchsim.jobs.mounting import MountDiagnosis, diagnose_session, zero_sigma
+from benchsim.jobs.mount_diagnosis import MountDiagnosis, diagnose_session, zero_sigma
 
 Array = NDArray[np.float64]
 

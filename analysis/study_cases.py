@@ -31,7 +31,7 @@ from benchsim.trial.draws import (
     draw_stranger,
     possible,
 )
-from benchsim.trial.sight import Sight, refitted, rival_refitted
+from benchsim.trial.visibility import Sight, refitted, rival_refitted
 
 __all__ = [
     "Sight",

@@ -14,11 +14,11 @@ _MODULES = {
     "fit": "fitting",
     "validate": "validating",
     "diagnose": "diagnosing",
-    "effects": "effecting",
+    "effects": "effect_catalogue",
     "report": "reporting",
-    "board": "boarding",
+    "board": "board_print",
     "calibrate": "calibrating",
-    "new": "newing",
+    "new": "new_recording",
     "check": "checking",
 }
 

@@ -15,10 +15,10 @@ from benchsim.bench.files import complaints, read, sources
 from benchsim.bench.model import Recording
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.writing import write_text
-from benchsim.intake import exposing, standing
+from benchsim.intake import metadata, trace_placement
 from benchsim.intake.finding import Finding, Kind
 from benchsim.intake.photo import Photo, read_photo
-from benchsim.intake.seeing import look
+from benchsim.intake.picture_content import look
 from benchsim.jobs.output import label, output_folder
 from benchsim.jobs.progress import Progress, silent
 
@@ -140,11 +140,11 @@ def _files(file: Path, progress: Progress) -> list[Finding]:
             photos.append(photo)
             cameras.append(str(e.get("camera")))
             if isinstance(e.get("dark"), str):
-                out += exposing.dark_alike(photo, read_photo(file.parent / e["dark"])[0])
+                out += metadata.dark_alike(photo, read_photo(file.parent / e["dark"])[0])
         except BenchsimError as error:
             where, says = _split(str(error))
             out.append(Finding(Kind.inconsistent, where, says))
-    return out + exposing.same_lens(photos, cameras) + exposing.merged(photos)
+    return out + metadata.same_lens(photos, cameras) + metadata.merged(photos)
 
 
 def _settings(r: Recording) -> list[Finding]:
@@ -195,21 +195,21 @@ def _pictures(r: Recording, progress: Progress) -> list[Finding]:
         try:
             photos.append(read_photo(image)[0])
             if dark is not None:
-                out += exposing.dark_alike(photos[-1], read_photo(dark)[0])
+                out += metadata.dark_alike(photos[-1], read_photo(dark)[0])
         except BenchsimError as error:
             where, says = _split(str(error))
             out.append(Finding(Kind.inconsistent, where, says))
             continue
         seen = look(image, dark, r.cameras[e.camera], r.screen, sigma)
         out += seen.findings
-        out += standing.stands(r, e, seen.line, reseated=seats[i] > 0)
+        out += trace_placement.stands(r, e, seen.line, reseated=seats[i] > 0)
     if len(photos) == len(r.exposures):
-        out += exposing.same_lens(photos, [e.camera for e in r.exposures])
-        out += exposing.in_order(photos, [e.time for e in r.exposures])
+        out += metadata.same_lens(photos, [e.camera for e in r.exposures])
+        out += metadata.in_order(photos, [e.time for e in r.exposures])
         for name, camera in r.cameras.items():
             own = [p for p, e in zip(photos, r.exposures, strict=True) if e.camera == name]
-            out += exposing.focal_agrees(own, camera, sigma[0])
-        out += exposing.merged(photos)
+            out += metadata.focal_agrees(own, camera, sigma[0])
+        out += metadata.merged(photos)
         lone = [e.image for e in r.exposures if e.dark is None]
         if lone:
             says = (

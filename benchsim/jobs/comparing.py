@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
+from benchsim.instruments.bench.fitted_simulation import State
 from benchsim.instruments.bench.observed import Observed
 from benchsim.instruments.bench.pixels import WIDTHS, Pixels, about_trace
-from benchsim.instruments.bench.probable import State
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trace.speckle import Whitener
 
@@ -161,8 +161,8 @@ def compare(
     BenchsimError
         If no exposure can be compared.
     """
-    from benchsim.render.again import expected
     from benchsim.render.charge import arrived
+    from benchsim.render.rerendered import expected
 
     def show(s: State, exposure: Exposure) -> tuple[Render, Image]:
         picture = expected(

@@ -18,7 +18,7 @@ from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
-from benchsim.instruments.bench import amend, candidates, effects, observables, sizes
+from benchsim.instruments.bench import amended_file, candidates, displacement, effects, observables
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.instruments.bench.prediction import Predict
 from benchsim.jobs import exhibits
@@ -30,7 +30,7 @@ from benchsim.report import diagnosis_pictures as pictures
 from benchsim.report.diagnosis_text import About, listed, summary
 
 if TYPE_CHECKING:
-    from benchsim.jobs.mounting import MountDiagnosis
+    from benchsim.jobs.mount_diagnosis import MountDiagnosis
 
 MOST_LOCATED = 4
 """Photographs in which stretches are drawn: those of the most significant."""
@@ -80,7 +80,7 @@ class DiagnosisResult:
     def text(self) -> str:
         """Plain sentences for ``summary.txt``."""
         r = self.recording
-        put = amend.put_in(r, self.amended)
+        put = amended_file.put_in(r, self.amended)
         sentence = "amended.toml holds the recording's file with what was found put in"
         return summary(
             self.diagnosis,
@@ -143,14 +143,14 @@ def diagnose(
     """
     source = Path(recording)
     if _of_a_mount(source):
-        from benchsim.jobs import mounting
+        from benchsim.jobs import mount_diagnosis
 
         if against != "bench":
             raise BenchsimError(
                 f"{source}: --against {against} is for the bench; leave it out for a mount's recordings"
             )
         place = None if tower is None else Path(tower)
-        return mounting.diagnose(source, output, tower=place, draw=pictures, progress=progress)
+        return mount_diagnosis.diagnose(source, output, tower=place, draw=pictures, progress=progress)
     folder = Path(output) if output is not None else default_folder(source, "diagnose")
     checked = read(source, images=True)
     effects.check(checked)
@@ -161,7 +161,7 @@ def diagnose(
             result = diagnose_recording(checked, folder, against=against, pool=pool, progress=progress)
             write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
             write_text(staging / "summary.txt", result.text() + "\n")
-            amend.write_amended(result.amended, staging / "amended.toml", folder)
+            amended_file.write_amended(result.amended, staging / "amended.toml", folder)
         if pictures:
             result = replace(result, not_drawn=draw(result, folder, pool, progress))
         exhibits.write_diagnosis(checked, result.problem, result.diagnosis, folder, photographs=pictures)
@@ -196,11 +196,11 @@ def diagnose_recording(
     problem = replace(bench_problem.build(recording, observed, against=against), spread=pool.spread)
     problem = replace(problem, catalogue=tuple(e for e in problem.catalogue if e.name not in without))
     found = diagnosis.diagnose(problem, lambda what, done: progress(what, 0.35 + 0.4 * done))
-    found = sizes.sized(problem, found)
+    found = displacement.sized(problem, found)
     said = tuple(note for o in observed for note in o.notes)
     return DiagnosisResult(
         recording=recording,
-        amended=amend.amended(recording, found, against),
+        amended=amended_file.amended(recording, found, against),
         diagnosis=found,
         problem=problem,
         lost=lost,
@@ -279,7 +279,7 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
     ``pixels.json``; returns a sentence for every exposure that could not be compared.
     """
     from benchsim.instruments.bench.asymmetry import settled
-    from benchsim.instruments.bench.probable import probable, state
+    from benchsim.instruments.bench.fitted_simulation import probable, state
     from benchsim.jobs import comparing
     from benchsim.render import backend
 

@@ -21,7 +21,7 @@ from benchsim.bench.model import Camera, Exposure, Recording
 from benchsim.bench.writing import write_bytes, write_text
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
-from benchsim.instruments.bench.chain import View
+from benchsim.instruments.bench.board_coordinates import View
 from benchsim.instruments.bench.prediction import Predict
 from benchsim.instruments.bench.validation import ExposureValidation
 from benchsim.jobs.fitting import FittedExposure

@@ -17,7 +17,7 @@ from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording, Screen
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.writing import write_text
-from benchsim.instruments.bench import chain
+from benchsim.instruments.bench import board_coordinates
 from benchsim.instruments.bench.validation import LEVEL, ExposureValidation, validate_trace
 from benchsim.jobs.fitting import FitResult, draw_overlay, fit_recording
 from benchsim.jobs.output import default_folder, output_folder
@@ -136,8 +136,12 @@ def validate_fit(fitted: FitResult, *, progress: Progress = silent) -> Validatio
 
 def _measured(recording: Recording, pose: Pose | None) -> Callable[[Array], Array] | None:
     """Where light at true places of the board is measured, with what the file says of board, print and camera."""
-    seen = chain.view_of_all(recording, pose) if pose is not None and chain.active(recording) else None
-    return None if seen is None else lambda board: chain.measured(recording, seen, board)[0]
+    seen = (
+        board_coordinates.view_of_all(recording, pose)
+        if pose is not None and board_coordinates.active(recording)
+        else None
+    )
+    return None if seen is None else lambda board: board_coordinates.measured(recording, seen, board)[0]
 
 
 def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) -> None:

@@ -5,8 +5,9 @@ declares its own effects, which `effects` gathers. `sweep` joins them at one pha
 time-averaged trace, `diffraction`, `profile` and `width` what they look like, `curve` the trace of a bench, `ghost`
 what the front of a mirror's glass adds, and `prediction` the trace of a recording's exposure.
 
-Predictions are asked for by the thousand. `smooth` therefore traces few rays where nothing has kinks, and `stack` makes
-one bench of many whose numbers are arrays, so that the elements' own formulas work out all of them in one pass.
+Predictions are asked for by the thousand. `interpolated_trace` therefore traces few rays where nothing has kinks, and
+`batch` makes one bench of many whose numbers are arrays, so that the elements' own formulas work out all of them in one
+pass.
 """
 
 from benchsim.rays.camera import board_points, pixel_rays, project, project_board, see

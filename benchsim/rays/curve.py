@@ -13,12 +13,12 @@ from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Laser, Mirror, Physics, Screen
 from benchsim.bench.place import Placement
-from benchsim.rays import smooth
+from benchsim.rays import interpolated_trace
+from benchsim.rays.batch import stacked
 from benchsim.rays.bench import Bench, nodes_needed
+from benchsim.rays.interpolated_trace import FAINT, left_of
 from benchsim.rays.phases import axis_points, check, many_phases, sample_phases, stands
 from benchsim.rays.profile import Profiles
-from benchsim.rays.smooth import FAINT, left_of
-from benchsim.rays.stack import stacked
 from benchsim.rays.sweep import cuts, mixed
 from benchsim.rays.width import across as irradiance_across
 from benchsim.rays.width import widths
@@ -79,8 +79,8 @@ def trace(bench: Bench, samples: int = 96, *, width: bool = True) -> Curve:
     phase = sample_phases(bench, samples)
     if not bench.physics.beam:
         return _ray_curve(bench, phase, width=width)
-    for rule in smooth.rules(bench):
-        found = smooth.curves(bench, phase, rule, width=width)
+    for rule in interpolated_trace.rules(bench):
+        found = interpolated_trace.curves(bench, phase, rule, width=width)
         if found.resolved:
             return found.curve()
     points, _, nodes = beam_profiles(bench, phase)
@@ -102,7 +102,7 @@ def _ray_curve(bench: Bench, phase: Array, *, width: bool = True) -> Curve:
 
 
 def traces(benches: Sequence[Bench], samples: int = 96, *, width: bool = True) -> list[Curve | None]:
-    """`trace` of benches that are `stack.alike`, worked out together; None where the light misses mirror or board."""
+    """`trace` of benches that are `batch.alike`, worked out together; None where the light misses mirror or board."""
     out, left = together(benches, samples, width=width)
     for i in left:
         out[i] = _or_none(benches[i], samples, width=width)
@@ -112,13 +112,13 @@ def traces(benches: Sequence[Bench], samples: int = 96, *, width: bool = True) -
 def together(
     benches: Sequence[Bench], samples: int, *, width: bool = True, front: bool = False
 ) -> tuple[list[Curve | None], list[int]]:
-    """Smooth traces of benches that are `stack.alike`, and the numbers of those that are not smooth enough for it.
+    """Smooth traces of benches that are `batch.alike`, and the numbers of those that are not smooth enough for it.
 
-    None, too, where the light misses mirror or board. ``front`` as in `smooth.curves`.
+    None, too, where the light misses mirror or board. ``front`` as in `interpolated_trace.curves`.
     """
     out: list[Curve | None] = [None] * len(benches)
     left = [i for i, bench in enumerate(benches) if stands(bench)]
-    rules = smooth.rules(benches[0])
+    rules = interpolated_trace.rules(benches[0])
     if not left or not rules:
         return out, left
     members = [benches[i] for i in left]
@@ -132,7 +132,7 @@ def together(
         if len(left) < len(members):
             members = [benches[i] for i in left]
             stack = stacked(members)
-        found = smooth.curves(stack, phase, rule, width=width, front=front)
+        found = interpolated_trace.curves(stack, phase, rule, width=width, front=front)
         for k in np.flatnonzero(found.resolved).tolist():
             out[left[k]] = found.curve(k)
         left, phase = [i for i in left if out[i] is None], phase[~found.resolved]

@@ -13,8 +13,8 @@ from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.errors import BenchsimError
 from benchsim.rays.bench import Bench, nodes_needed
 from benchsim.rays.curve import tangents, together
+from benchsim.rays.interpolated_trace import FAINT, left_of
 from benchsim.rays.phases import axis_points, sample_phases
-from benchsim.rays.smooth import FAINT, left_of
 from benchsim.rays.sweep import cuts
 from benchsim.rays.width import widths
 
@@ -43,7 +43,7 @@ def pulled(curve: Curve, ghost: Curve | None) -> Curve:
 
 
 def ghosts(benches: Sequence[Bench], samples: int) -> list[Curve | None]:
-    """Ghosts, without widths, of benches that are `stack.alike`; None where they do not meet the board.
+    """Ghosts, without widths, of benches that are `batch.alike`; None where they do not meet the board.
 
     Light that the front face reflects, as if the glass were not there, with Fresnel's reflectance.
     """

@@ -75,7 +75,7 @@ def sample_phases(bench: Bench, samples: int) -> Array:
 def many_phases(bench: Bench, members: Sequence[Bench], samples: int) -> Array:
     """`sample_phases` of several benches at once, (bench, samples); NaN for those whose light misses the board.
 
-    ``bench`` is the stack of the members (`stack.stacked`).
+    ``bench`` is the stack of the members (`batch.stacked`).
     """
     grid = np.linspace(-np.pi / 2, np.pi / 2, SEARCH[0])
     each = np.broadcast_to(grid, (len(members), len(grid)))

@@ -11,7 +11,7 @@ A vector that stands still has v_n = v₀ cos ε + v_b sin ε and v_t = dv_n/dε
 and ray along any direction of the board and their derivatives by the phase follow: what `sweep` finds for every element
 by differences of rays is exact here. The two agree to some 1e-8 mm, where Newton's method by differences ends.
 
-Everything may have a leading axis of benches, as in `stack`.
+Everything may have a leading axis of benches, as in `batch`.
 """
 
 from __future__ import annotations

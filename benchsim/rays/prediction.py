@@ -15,13 +15,13 @@ from benchsim.bench.curve import Curve, signed_distances
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import Placement, SettingErrors, place, places
-from benchsim.rays import stack
+from benchsim.rays import batch
 from benchsim.rays.bench import Bench
 from benchsim.rays.curve import tangents, trace, traces
 from benchsim.rays.effects import Elements, elements
 from benchsim.rays.ghost import ghost_of, ghosts, pulled
+from benchsim.rays.interpolated_trace import left_of
 from benchsim.rays.phases import check
-from benchsim.rays.smooth import left_of
 
 Array = NDArray[np.float64]
 Shape = tuple[float, float, float]
@@ -143,7 +143,7 @@ def predict_many(cases: Sequence[Case], samples: int = 96, *, width: bool = True
         mixtures.append(_mixture(_bench(recording, exposure, stands, known[key], blur)))
     benches = [bench for mixture in mixtures for bench in mixture.benches]
     curves: list[Curve | None] = [None] * len(benches)
-    for group in stack.groups(benches, TOGETHER):
+    for group in batch.groups(benches, TOGETHER):
         if len(group) > 1:
             found = _alike([benches[i] for i in group], samples, width=width)
         else:
@@ -182,7 +182,7 @@ def _or_none(bench: Bench, samples: int, *, width: bool) -> Curve | None:
 
 
 def _alike(benches: Sequence[Bench], samples: int, *, width: bool) -> list[Curve | None]:
-    """Traces of benches that are `stack.alike`; behind glass as the ghost pulls them."""
+    """Traces of benches that are `batch.alike`; behind glass as the ghost pulls them."""
     if not benches[0].parts.polygon.glass:
         return traces(benches, samples, width=width)
     out = [

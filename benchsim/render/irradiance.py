@@ -20,7 +20,7 @@ from benchsim.bench.place import Placement, place
 from benchsim.render import backend
 from benchsim.render.beam_table import BeamTable
 from benchsim.render.film import Film
-from benchsim.render.mixture import mixture, without
+from benchsim.render.partial_physics import mixture, without
 from benchsim.render.sweep import blur_reach, footprint, sweep
 from benchsim.render.tracer import Tracer, opaque
 

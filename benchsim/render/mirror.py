@@ -13,7 +13,8 @@ with N the board's normal and E its two axes. No term is larger than the board, 
 of float64, where tracing in the world frame loses tens of µm.
 
 With effects m is any change of the unit normal and ξ any point (`facet`), the air hands over another ξ and q (`air`),
-and the plane's hit goes on to the board's surface (`landing`). What a recording has not is not in its kernel.
+and the plane's hit goes on to the board's surface (`board_intersection`). What a recording has not is not in its
+kernel.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from benchsim.render import facet as facet_shape
 from benchsim.render import laser as source
 from benchsim.render.air import air
 from benchsim.render.beam_table import BeamTable, axes
+from benchsim.render.board_intersection import Landing, landing
 from benchsim.render.facet import Shape
-from benchsim.render.landing import Landing, landing
 from benchsim.render.laser import Beam, Vec, bent, dot, ray_through
 from benchsim.render.motion import Motion, motion
 from benchsim.render.surface import turned

@@ -62,7 +62,8 @@ def _parameters(r: Row) -> list[str]:
 
 @dataclass(frozen=True)
 class Plan:
-    """What `isolability` prints; see ``jobs.effecting.IsolabilityResult``. ``shaped``: `shapes_text` of the effects."""
+    """What `isolability` prints; see ``jobs.effect_catalogue.IsolabilityResult``. ``shaped``: `shapes_text` of the
+    effects."""
 
     title: str
     exposures: int

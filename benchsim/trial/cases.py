@@ -27,7 +27,7 @@ from benchsim.instruments.bench import observables
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.trial import draws
 from benchsim.trial.hashing import rng_of
-from benchsim.trial.sight import Sight
+from benchsim.trial.visibility import Sight
 
 Array = NDArray[np.float64]
 

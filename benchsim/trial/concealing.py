@@ -15,10 +15,10 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trial import cases as making
-from benchsim.trial import draws, equal, ledger
+from benchsim.trial import draws, equalised, ledger
 from benchsim.trial.cases import Plan
-from benchsim.trial.certify import certify
 from benchsim.trial.cluster import Each, beside, cluster
+from benchsim.trial.generator_test import certify
 from benchsim.trial.hashing import canonical, code, commitment, derived, digest, files_of, rng_of
 
 Make = Callable[[Plan, int, Path], dict[str, Any]]
@@ -165,7 +165,7 @@ def _one(make: Make, plan: Plan, number: int, rendered: Path) -> dict[str, Any]:
     name = ledger.cases_of(number)[-1]
     with beside(rendered / name) as staging:
         truth = make(plan, number, staging)
-        equal.plain_images(staging)
+        equalised.plain_images(staging)
     return truth
 
 
@@ -188,7 +188,7 @@ def _seal(plan: Plan, names: list[str], recordings: Path, truth: Path, rendered:
         shutil.rmtree(stray)
     staging = recordings.with_name(".recordings")
     shutil.rmtree(staging, ignore_errors=True)
-    equal.laid_out(rendered, staging)
+    equalised.laid_out(rendered, staging)
     for name in names:
         opening = json.loads((truth / f"{name}.json").read_text(encoding="utf-8"))
         lines.append(
@@ -201,7 +201,7 @@ def _seal(plan: Plan, names: list[str], recordings: Path, truth: Path, rendered:
         )
     lines.append({"kind": "sealed", "cases": len(names)})
     head = ledger.append(staging / ledger.NAME, lines)
-    equal.timeless(staging)
+    equalised.timeless(staging)
     os.rename(staging, recordings)
     shutil.rmtree(rendered)
     return head

@@ -22,7 +22,7 @@ from benchsim.bench.model import Camera, Exposure, Recording
 from benchsim.diagnosis.evidence import amplitudes
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect
-from benchsim.trial.sight import Sight
+from benchsim.trial.visibility import Sight
 
 Array = NDArray[np.float64]
 

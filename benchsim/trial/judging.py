@@ -188,7 +188,7 @@ def _failed(folder: Path, error: BaseException) -> None:
 
 def diagnose_recording(recording: Path, folder: Path, target: Path, withheld: Sequence[str]) -> None:
     """What ``benchsim diagnose`` writes without pictures, by a catalogue that lacks some effects, in one process."""
-    from benchsim.instruments.bench import amend
+    from benchsim.instruments.bench import amended_file
     from benchsim.jobs.diagnosing import diagnose_recording as diagnosed
     from benchsim.jobs.workers import workers
 
@@ -196,4 +196,4 @@ def diagnose_recording(recording: Path, folder: Path, target: Path, withheld: Se
         result = diagnosed(read(recording, images=True), target, pool=pool, without=tuple(withheld))
     write_text(folder / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
     write_text(folder / "summary.txt", result.text() + "\n")
-    amend.write_amended(result.amended, folder / "amended.toml", target)
+    amended_file.write_amended(result.amended, folder / "amended.toml", target)

@@ -13,7 +13,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
-from benchsim.trial import claims, leak, ledger, prediction, score
+from benchsim.trial import claims, leak_test, ledger, prediction, score
 from benchsim.trial.checking import Trial, checked, complain, diagnosis_of, truths_of
 from benchsim.trial.hashing import digest
 from benchsim.trial.ledger import Standing
@@ -91,7 +91,7 @@ def open(folder: Path | str, *, progress: Progress = silent) -> OpenResult:
         )
     ledger.append(partial, lines)
     nothing = {case: not truth["zero"] and not truth["kind"].startswith("clean") for case, (_, truth) in truths.items()}
-    blind = leak.blind([leak.clues(at / "recordings" / case) for case in truths], list(nothing.values()))
+    blind = leak_test.blind([leak_test.clues(at / "recordings" / case) for case in truths], list(nothing.values()))
     seed = json.loads((at / "truth" / "plan.json").read_text(encoding="utf-8"))["seed"]
     kept_back = {}
     for k, (case, (_, truth)) in enumerate(truths.items()):

@@ -9,7 +9,7 @@ from first_principles import turn
 from holding import bench
 
 from benchsim.bench.place import camera_pose, place
-from benchsim.instruments.bench.chain import measured, view_of_all
+from benchsim.instruments.bench.board_coordinates import measured, view_of_all
 from benchsim.rays import project_board, see
 from benchsim.trace.pose import Pose
 

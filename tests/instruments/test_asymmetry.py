@@ -17,8 +17,8 @@ from benchsim.bench.files import read
 from benchsim.bench.place import SettingErrors, place
 from benchsim.bench.settings import to_vector
 from benchsim.instruments.bench import asymmetry, observables, problem
+from benchsim.instruments.bench.fitted_simulation import probable
 from benchsim.instruments.bench.prediction import UNITS, errors
-from benchsim.instruments.bench.probable import probable
 from benchsim.render import recording as rendering
 
 ROOT = Path(__file__).parents[2]

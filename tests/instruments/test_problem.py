@@ -16,7 +16,7 @@ from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.files import read
 from benchsim.bench.model import Physics
 from benchsim.diagnosis import linear
-from benchsim.instruments.bench import chain, observables
+from benchsim.instruments.bench import board_coordinates, observables
 from benchsim.instruments.bench.prediction import FAR
 from benchsim.instruments.bench.problem import build, draw
 
@@ -79,7 +79,7 @@ TRUTHS = [
 
 @pytest.mark.parametrize("truth", TRUTHS, ids=lambda t: "+".join(t))
 def test_centre_line_is_where_the_pieces_put_it(made, truth):
-    """rays for the light, `chain` for the camera (held against brute force elsewhere), joined by hand."""
+    """rays for the light, `board_coordinates` for the camera (held against brute force elsewhere), joined by hand."""
     recording, problem = made
     table = {}
     for name, value in truth.items():
@@ -90,7 +90,7 @@ def test_centre_line_is_where_the_pieces_put_it(made, truth):
         response = problem.predict.blocks[b].response
         curve = rays.predict(true, recording.exposures[o.index], samples=96, blur=response.blur).at_centre()
         level = np.interp(np.linspace(0, 1, 96), np.linspace(0, 1, 48), problem.predict.blocks[b].level)
-        points, residual = chain.measured(true, o.view, curve.points, level)
+        points, residual = board_coordinates.measured(true, o.view, curve.points, level)
         d = signed_distance(Curve(points), o.points)[0]
         got = problem.predict(truth, b)
         kind = problem.kind[problem.rows(b)]

@@ -20,7 +20,7 @@ import pytest
 
 from benchsim import jobs
 from benchsim.bench.files import read
-from benchsim.instruments.bench import amend, effects, observables, problem
+from benchsim.instruments.bench import amended_file, effects, observables, problem
 from benchsim.jobs import diagnosing
 from benchsim.jobs.workers import workers
 from benchsim.render import recording as rendering
@@ -63,7 +63,7 @@ def test_what_was_found_goes_round(photographed, tmp_path, monkeypatch):
     for key, truth in BOW.items():
         assert abs(found[key].value - truth) < 4 * found[key].sigma < 2.0, (key, found[key])
     (tmp_path / "out").mkdir()
-    amend.write_amended(result.amended, tmp_path / "out" / "amended.toml", tmp_path / "out")
+    amended_file.write_amended(result.amended, tmp_path / "out" / "amended.toml", tmp_path / "out")
 
     amended = tmp_path / "out" / "amended.toml"
     again = read(amended, images=True)

@@ -15,9 +15,9 @@ from benchsim.bench.fields import FORMS, field
 from benchsim.bench.files import read
 from benchsim.bench.settings import prior_sigma, to_vector
 from benchsim.diagnosis.result import Diagnosis, Law
-from benchsim.instruments.bench import amend, effects, observables, problem
+from benchsim.instruments.bench import amended_file, effects, observables, problem
 from benchsim.instruments.bench import pixels as about
-from benchsim.instruments.bench.probable import left_out, probable, state
+from benchsim.instruments.bench.fitted_simulation import left_out, probable, state
 from benchsim.jobs import comparing, diagnosing
 from benchsim.render import charge
 from benchsim.render import recording as rendering
@@ -205,7 +205,7 @@ def test_a_law_is_rendered_like_an_effect(bowed, bowed_seen, tmp_path, monkeypat
         verdict="located", effects=(), classes=(), law=law, rms={}, held_out=None, pulls={}, location=None, limits={},
         next=(), sigma_scale=1.0, correlation=0.0, setting_scale=1.0, probability={}, values={}, residuals=None,
     )  # fmt: skip
-    amended = amend.amended(bowed, found)
+    amended = amended_file.amended(bowed, found)
     assert set(amended.fields) == {"height"} and not amended.effects
     result = diagnosing.DiagnosisResult(bowed, amended, found, built, (), (), "bench", tmp_path)
     kept = {}
@@ -237,7 +237,7 @@ def test_a_render_that_is_not_to_be_had_costs_one_exposure(bowed, bowed_seen):
 
 def test_photographs_of_unknown_gamma_are_not_rendered_again(bowed, bowed_seen, monkeypatch):
     camera = replace(bowed.cameras["A"], gamma="unknown")
-    monkeypatch.setattr("benchsim.render.again.expected", lambda *a, **k: pytest.fail("rendered"))
+    monkeypatch.setattr("benchsim.render.rerendered.expected", lambda *a, **k: pytest.fail("rendered"))
     with pytest.raises(BenchsimError, match=r"cameras\.A\.gamma: unknown"):
         comparing.compare(replace(bowed, cameras={"A": camera}), bowed_seen[0], [None] * 3, [None] * 3)
 

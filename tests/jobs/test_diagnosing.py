@@ -31,7 +31,7 @@ from benchsim.diagnosis.result import (
     SplitBy,
     Stretch,
 )
-from benchsim.jobs import diagnosing, effecting
+from benchsim.jobs import diagnosing, effect_catalogue
 from benchsim.jobs.workers import Workers
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "bench-other-code"
@@ -265,7 +265,7 @@ def test_the_catalogue_fits_a_terminal_and_names_every_effect():
     done = CliRunner().invoke(app, ["effects"])
     assert done.exit_code == 0 and max(map(len, done.stdout.splitlines())) <= 100
     plain = json.loads(CliRunner().invoke(app, ["effects", "--json"]).stdout)
-    assert len(plain["effects"]) == len(effecting.bench_effects.CATALOGUE)
+    assert len(plain["effects"]) == len(effect_catalogue.bench_effects.CATALOGUE)
     words = " ".join(done.stdout.split())
     for effect in plain["effects"]:
         assert effect["name"] in words and effect["says"] in words and effect["drawn"] in words
@@ -287,7 +287,7 @@ def test_isolability_before_any_data(plan, small_bench, tmp_path):
     words = " ".join(text.split("Not told apart")[1].split())
     assert "axis-wobble / facet-tilts" in words or "facet-tilts / axis-wobble" in words
     for (a, _), apart in plan.separation.items():
-        assert 0 <= apart <= min(effecting.TOLD_AT, 1e6 * plan.at_cap[a]) * (1 + 1e-6)
+        assert 0 <= apart <= min(effect_catalogue.TOLD_AT, 1e6 * plan.at_cap[a]) * (1 + 1e-6)
     for name, sigma in plan.at_cap.items():
         own = [v for k, v in plan.limits.items() if k.split(".")[0] == name]
         assert own and (sigma > 5) == all(v.reachable for v in own), name
@@ -299,7 +299,7 @@ def test_isolability_before_any_data(plan, small_bench, tmp_path):
 
 def test_workers_and_this_process_give_the_same_limits(plan, small_bench, monkeypatch):
     monkeypatch.setattr(Workers, "spread", lambda self, *a: list(map(*a)))
-    alone = effecting.isolability(read(small_bench, images=False))
+    alone = effect_catalogue.isolability(read(small_bench, images=False))
     assert {k: v.five_sigma for k, v in alone.limits.items()} == pytest.approx(
         {k: v.five_sigma for k, v in plan.limits.items()}, rel=1e-6
     )

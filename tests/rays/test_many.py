@@ -11,12 +11,12 @@ from benchsim.bench.fields import field
 from benchsim.bench.model import Physics
 from benchsim.bench.settings import from_vector
 from benchsim.rays import Case, curve, predict, predict_many, prediction
+from benchsim.rays.batch import alike, groups, stacked
 from benchsim.rays.bench import Bench
 from benchsim.rays.curve import beam_profiles, trace
 from benchsim.rays.ghost import ghost_of, ghosts
 from benchsim.rays.phases import many_phases, sample_phases
 from benchsim.rays.prediction import bench_of
-from benchsim.rays.stack import alike, groups, stacked
 
 PRIOR = np.array([1.0] * 3 + [1.745e-3] * 4 + [0.2] * 3 + [1e-3] * 3)
 CAPS = {

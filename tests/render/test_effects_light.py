@@ -33,7 +33,7 @@ from benchsim.rays.profile import adaptive
 from benchsim.render import EFFECTS, backend, effects, facet, tracer
 from benchsim.render.irradiance import irradiance
 from benchsim.render.mirror import from_facet
-from benchsim.render.mixture import mixture
+from benchsim.render.partial_physics import mixture
 from benchsim.render.sweep import sweep
 from benchsim.render.tracer import Tracer
 

@@ -10,7 +10,7 @@ import pytest
 
 from benchsim import trial
 from benchsim.bench.errors import BenchsimError
-from benchsim.trial import cases, equal, leak, ledger, running
+from benchsim.trial import cases, equalised, leak_test, ledger, running
 from benchsim.trial.hashing import commitment
 
 CASES, SEED = 20, 7
@@ -124,13 +124,13 @@ def test_sizes_times_and_metadata_are_equal(concealed):
     seen = {}
     for name in ledger.cases_of(CASES):
         folder = concealed / "recordings" / name
-        clues = {k: v for k, v in leak.clues(folder).items() if not k.endswith("order on disk")}
+        clues = {k: v for k, v in leak_test.clues(folder).items() if not k.endswith("order on disk")}
         seen.setdefault(clues["files"], []).append(clues)
-        assert folder.stat().st_mtime == equal.EPOCH
+        assert folder.stat().st_mtime == equalised.EPOCH
         for path in folder.iterdir():
-            assert path.stat().st_mtime == equal.EPOCH
+            assert path.stat().st_mtime == equalised.EPOCH
             if path.suffix == ".png":
-                assert {k for k, _ in leak._chunks(path)} == {b"IHDR", b"IDAT", b"IEND"}
+                assert {k for k, _ in leak_test._chunks(path)} == {b"IHDR", b"IDAT", b"IEND"}
     assert len(seen) == 2
     assert all(clues == group[0] for group in seen.values() for clues in group)
 
@@ -138,7 +138,7 @@ def test_sizes_times_and_metadata_are_equal(concealed):
 def test_pictures_keep_their_counts(tmp_path):
     counts = np.random.default_rng(0).integers(0, 65536, (30, 40)).astype(np.uint16)
     cv2.imwrite(str(tmp_path / "a.png"), counts)
-    equal.plain_images(tmp_path)
+    equalised.plain_images(tmp_path)
     assert np.array_equal(cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED), counts)
 
 

@@ -33,12 +33,12 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import SettingErrors, place
 from benchsim.diagnosis.problem import Problem
-from benchsim.instruments.bench import chain
+from benchsim.instruments.bench import board_coordinates
 from benchsim.instruments.bench.effects import PHYSICS_OF
+from benchsim.instruments.bench.fitted_simulation import probable
 from benchsim.instruments.bench.observed import Observed
 from benchsim.instruments.bench.pixels import Pixels, about_trace, free_board
 from benchsim.instruments.bench.prediction import FAR, Predict, beam_shape, errors
-from benchsim.instruments.bench.probable import probable
 from benchsim.rays.cross_section import cross_sections
 from benchsim.trace.band import smooth_curve
 
@@ -214,7 +214,7 @@ def _seen(o: Observed, pixels: Pixels, scale: float) -> Seen:
     span = (float(o.s[0]), float(o.s[-1]))
     smooth = smooth_curve(o.s, o.points, 1 / np.diag(o.covariance), span, PATH_STEP)
     path = Curve(np.asarray(smooth(np.linspace(*span, ROWS)), float))
-    distance, s = signed_distance(path, chain.read_back(o.view, np.column_stack([pixels.u, pixels.v])))
+    distance, s = signed_distance(path, board_coordinates.read_back(o.view, np.column_stack([pixels.u, pixels.v])))
     at = signed_distance(path, o.profile_points)[1]
     blur = np.column_stack([at, scale * o.blur * o.mm_per_px])[np.argsort(at)]
     return Seen(path, s, distance, blur)
@@ -341,7 +341,7 @@ def settled(
     values : sequence of mapping
         One for each block, the same within a setting: where it was fitted to all else.
     setting_scale : float
-        As in `probable.probable`.
+        As in `fitted_simulation.probable`.
 
     Returns
     -------

@@ -2,9 +2,10 @@
 
 A function of an element's coordinate is carried to the data as the bench carries a catalogue effect: a displacement of
 the light on the board, of the light in the picture, or of the marks in the picture. Displacements of the marks turn the
-solved pose, and with it all light; see `chain`. Functions are values on a grid of knots with multilinear interpolation
-between, exactly the recording's free fields (`bench.fields`), in whose coordinates and units they are: what is found
-can be put into the file as it stands. Names are ``element.FIELD``, with a word between where a coordinate is left out.
+solved pose, and with it all light; see `board_coordinates`. Functions are values on a grid of knots with multilinear
+interpolation between, exactly the recording's free fields (`bench.fields`), in whose coordinates and units they are:
+what is found can be put into the file as it stands. Names are ``element.FIELD``, with a word between where a coordinate
+is left out.
 
 Lengths reach from the spacing of the knots to the size of the whole; defects of a board or a lens of 60 mm or 70 px
 and stages that err in the third harmonic of azimuth lie between.
@@ -23,8 +24,8 @@ from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.fields import field
 from benchsim.bench.place import Placement
 from benchsim.diagnosis.problem import Attachment
-from benchsim.instruments.bench import chain
-from benchsim.instruments.bench.amend import summed
+from benchsim.instruments.bench import board_coordinates
+from benchsim.instruments.bench.amended_file import summed
 from benchsim.instruments.bench.blocks import Block, size
 from benchsim.instruments.bench.prediction import Predict
 from benchsim.rays.prediction import bench_of
@@ -128,13 +129,17 @@ def local(predict: Predict, index: int) -> Local:
     curve = predict.light({}, index, truth)
     assert curve.phase is not None
     level = np.interp(np.linspace(0, 1, len(curve.points)), np.linspace(0, 1, len(b.level)), b.level)
-    measured = chain.measured(truth, seen, curve.points, level)[0] if chain.active(truth) else curve.points
+    measured = (
+        board_coordinates.measured(truth, seen, curve.points, level)[0]
+        if board_coordinates.active(truth)
+        else curve.points
+    )
     arc = Curve(measured).arc_length()
     s = np.clip(signed_distance(Curve(measured), o.points)[1], 0.0, arc[-1])
     tangent = CubicSpline(arc, measured)(s, 1)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     board = CubicSpline(arc, curve.points)(s)
-    pose = chain.pose_of(seen)
+    pose = board_coordinates.pose_of(seen)
     pixel, by_pose = pose_derivatives(pose, board)
     by_x = by_pose[..., 3:] @ seen.rotation
     placement = bench_of(truth, exposure).placement

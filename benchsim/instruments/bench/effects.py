@@ -411,7 +411,7 @@ PHYSICS_OF = {"facets": "facets", "finite-beam": "beam", "diffraction": "diffrac
 """Effects that are switches of ``[physics]``: candidates only where it has them false."""
 
 SIZE = Term("size_mm", "mm", 10.0, one_sided=True, observable=False)
-"""Beside the share of a switch: the rms by which it moves the trace, as a diagnosis says it; see `sizes`."""
+"""Beside the share of a switch: the rms by which it moves the trace, as a diagnosis says it; see `displacement`."""
 
 _TILT = re.compile(r"tilt_(\d+)$")
 

@@ -2,8 +2,9 @@
 
 ``c``: mean displacement of the trace across itself, in bins; ``w``: width; ``f``: logarithm of the light per mm; ``m``:
 what the marks' centres leave after the pose. Where facets draw lines of their own, ``c`` is the mean of all their light
-and ``g``, its mean square offset, stands in the place of ``w`` and ``f`` (`parting`). The camera's pose is solved with
-the stated intrinsics held, so that whatever is wrong with them stays in the marks' residuals and is modelled (`chain`).
+and ``g``, its mean square offset, stands in the place of ``w`` and ``f`` (`facet_lines`). The camera's pose is solved
+with the stated intrinsics held, so that whatever is wrong with them stays in the marks' residuals and is modelled
+(`board_coordinates`).
 
 Noise is taken from the data alone. Centre line: scatter and correlation of neighbouring profiles, the common errors of
 line shape and pose (`trace.covariance`). Width and flux: scatter and correlation of neighbouring profiles about a
@@ -30,8 +31,9 @@ from benchsim import rays, trace
 from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Recording
-from benchsim.instruments.bench.chain import View, view
+from benchsim.instruments.bench.board_coordinates import View, view
 from benchsim.instruments.bench.explain import bin_trace
+from benchsim.instruments.bench.facet_lines import Parted, follow_facets, parted
 from benchsim.instruments.bench.observed import (
     CENTRE_BINS,
     CENTRE_FLOOR,
@@ -49,13 +51,12 @@ from benchsim.instruments.bench.observed import (
     nominal,
     smooth_floor,
 )
-from benchsim.instruments.bench.parting import Parted, follow_facets, parted
 from benchsim.instruments.bench.simulation import simulate
 from benchsim.trace.extract import measure, picture_on, read_photographs
 from benchsim.trace.marks import MarkObservations, find_marks
 from benchsim.trace.noise import centre_noise, spline_basis
-from benchsim.trace.parting import light_across
 from benchsim.trace.pose import Pose, join, solve_pose
+from benchsim.trace.side_lines import light_across
 
 __all__ = ["Observed", "observe", "observe_one", "simulate"]
 

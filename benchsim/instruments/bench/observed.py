@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from benchsim.bench.curve import Curve
 from benchsim.bench.model import Recording
-from benchsim.instruments.bench.chain import View
+from benchsim.instruments.bench.board_coordinates import View
 from benchsim.trace.pose import Pose, to_board, to_pixels
 
 Array = NDArray[np.float64]

@@ -21,10 +21,10 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Recording
 from benchsim.bench.place import SettingErrors
 from benchsim.bench.settings import NAMES, from_vector
-from benchsim.instruments.bench import chain
+from benchsim.instruments.bench import board_coordinates
 from benchsim.instruments.bench.blocks import Block, Seen, data, size
 from benchsim.rays.curve import tangents
-from benchsim.rays.smooth import left_of
+from benchsim.rays.interpolated_trace import left_of
 
 Array = NDArray[np.float64]
 
@@ -244,7 +244,7 @@ class Predict:
         alike: dict[Any, list[int]] = {}
         for i, a in enumerate(asked):
             camera = self.intrinsics(a.values, self.blocks[a.block])
-            if camera is not None or chain.active(a.truth):
+            if camera is not None or board_coordinates.active(a.truth):
                 alike.setdefault((id(a.truth), a.block, camera), []).append(i)
         for (_, block, camera), members in alike.items():
             b, truth = self.blocks[block], asked[members[0]].truth
@@ -253,7 +253,7 @@ class Predict:
             aside = (0.0, ASIDE, -ASIDE) if b.shaped else (0.0,)
             beside = [lights[i] + h * left_of(tangents(lights[i])) if h else lights[i] for i in members for h in aside]
             level = np.concatenate([self._level(b, len(light)) for light in beside])
-            points, residual = chain.measured(truth, b.observed.view, np.concatenate(beside), level, camera)
+            points, residual = board_coordinates.measured(truth, b.observed.view, np.concatenate(beside), level, camera)
             parts = np.split(points, np.cumsum([len(light) for light in beside])[:-1])
             for i, k in zip(members, range(0, len(parts), len(aside)), strict=True):
                 stretch: Array | float = 1.0

@@ -23,10 +23,10 @@ from benchsim.bench.settings import NAMES, OF_THE_SEAT, prior_sigma, screen_seat
 from benchsim.diagnosis.problem import Effect, Parameter, Problem, Values
 from benchsim.instruments.bench.attachments import attachments
 from benchsim.instruments.bench.blocks import Block, Response
+from benchsim.instruments.bench.board_coordinates import pose_of
 from benchsim.instruments.bench.candidates import candidates, simulated
-from benchsim.instruments.bench.chain import pose_of
 from benchsim.instruments.bench.effects import BY_NAME, terms
-from benchsim.instruments.bench.further import Next
+from benchsim.instruments.bench.next_recordings import Next
 from benchsim.instruments.bench.observed import Observed, beside, mm_per_px
 from benchsim.instruments.bench.prediction import SAMPLES, SHAPES, UNITS, Predict
 from benchsim.instruments.bench.simulation import simulate_one

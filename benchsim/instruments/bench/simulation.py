@@ -10,7 +10,7 @@ from benchsim.bench.curve import Curve
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.place import camera_pose, place
-from benchsim.instruments.bench.chain import View, turned, view
+from benchsim.instruments.bench.board_coordinates import View, turned, view
 from benchsim.instruments.bench.observed import (
     CENTRE_BINS,
     FLUX_FLOOR,

@@ -155,7 +155,8 @@ def validate_trace(
         Of the points' shifts across the curve, camera pose and correlated noise included [mm²].
     measured : callable, optional
         Coordinates in which light at true places of the board, (k, 2) mm, is measured, where the file's effects lie
-        between board and pixel (`chain.measured`); default the true places. The vector model as printed knows none.
+        between board and pixel (`board_coordinates.measured`); default the true places. The vector model as printed
+        knows none.
     blur : float
         rms of the camera's across the trace [mm].
 

@@ -18,7 +18,7 @@ from benchsim.diagnosis.evidence import amplitudes
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.instruments.mount import effects, functions
 from benchsim.instruments.mount.attachments import Form, attachments, forms
-from benchsim.instruments.mount.further import Next
+from benchsim.instruments.mount.next_recordings import Next
 from benchsim.instruments.mount.outlying import MOST, Outlying, outlying
 from benchsim.instruments.mount.posing import nuisances, problem_of
 from benchsim.instruments.mount.prediction import LOST, Predict

@@ -13,7 +13,7 @@ from benchsim.instruments.mount import axes, paint, pointing, problem, sky, stat
 from benchsim.instruments.mount.outlying import outlying
 from benchsim.instruments.mount.records import UNITS, Mount, Records, Session, toward
 from benchsim.jobs import diagnose
-from benchsim.jobs.mounting import diagnose_session
+from benchsim.jobs.mount_diagnosis import diagnose_session
 
 ARCSEC = UNITS["arcsec"]
 RECORDINGS = Path(__file__).resolve().parents[4] / "shared" / "recordings"

@@ -14,7 +14,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.mount import paint, pointing, stated
 from benchsim.instruments.mount.records import toward
 from benchsim.jobs import diagnose
-from benchsim.jobs.mounting import diagnose_session
+from benchsim.jobs.mount_diagnosis import diagnose_session
 
 RECORDINGS = Path(__file__).resolve().parents[4] / "shared" / "recordings"
 real = pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the real recordings are not beside the project")

@@ -99,7 +99,7 @@ def left_of(tangent: Array) -> Array:
 def curves(bench: Bench, phase: Array, rule: Rule, *, width: bool = True, front: bool = False) -> Smooth:
     """Curves through the profiles of the axis ray's phases (samples,) or (bench, samples); NaN phases are not resolved.
 
-    ``bench`` may be a stack (`stack.stacked`), the phases then have the leading axis. ``front`` is the light that the
+    ``bench`` may be a stack (`batch.stacked`), the phases then have the leading axis. ``front`` is the light that the
     front of the mirror's glass would reflect, of all facets at their mean lean.
     """
     with np.errstate(all="ignore"):

@@ -17,7 +17,7 @@ from benchsim.bench.model import Camera, Recording
 from benchsim.bench.place import SettingErrors
 from benchsim.diagnosis.linear import columns
 from benchsim.diagnosis.problem import Parameter, Problem
-from benchsim.instruments.bench import chain
+from benchsim.instruments.bench import board_coordinates
 from benchsim.instruments.bench.effects import PHYSICS_OF
 from benchsim.instruments.bench.prediction import Predict, beam_shape, errors
 
@@ -64,8 +64,8 @@ def state(predict: Predict, block: int, values: Values) -> State:
     truth = predict.truth({k: min(max(v, 0.0), 1.0) if k in switches else v for k, v in values.items()})
     seen, camera = b.observed.view, predict.intrinsics(values, b)
     rotation, translation = seen.rotation, seen.translation
-    if chain.active(truth) or camera is not None:
-        rotation, translation, _ = chain.true_pose(truth, seen, camera)
+    if board_coordinates.active(truth) or camera is not None:
+        rotation, translation, _ = board_coordinates.true_pose(truth, seen, camera)
     return State(truth, errors(values, b.setting), camera or seen.camera, rotation, translation, beam_shape(values))
 
 

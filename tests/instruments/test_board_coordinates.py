@@ -1,8 +1,8 @@
 """The measured board coordinate against brute force: pixels of the true camera, pose solved again, light read back.
 
 Light and marks are seen by a true camera from a true pose; the marks are solved for a pose with the stated camera, and
-the light is read back from there. `chain` is handed only that solved pose, and must find where the light was measured
-and what the marks were left with.
+the light is read back from there. `board_coordinates` is handed only that solved pose, and must find where the light
+was measured and what the marks were left with.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from benchsim import rays, trace
 from benchsim.bench.fields import field
 from benchsim.bench.model import Camera, Exposure, Laser, Marks, Mirror, Recording, Screen
 from benchsim.bench.place import camera_pose
-from benchsim.instruments.bench import chain
+from benchsim.instruments.bench import board_coordinates
 from benchsim.trace.marks import MarkObservations, board_corners
 
 CAMERA = Camera("A", (1600, 1200), 1680.0, (803.0, 596.5), (-0.08, 0.03, 6e-4, -4e-4, 0.0))
@@ -73,7 +73,7 @@ def solved(truth: Recording, rotation, translation, camera=CAMERA):
     pose = trace.solve_pose(CAMERA, observations(corners.reshape(-1, 4, 2)))
     # A local fault may make the solution set marks aside; the pose hangs on the others.
     weight = np.eye(8) / CORNER**2 * pose.used[:, None, None]
-    return pose, chain.view(pose, board_corners(MARKS), weight)
+    return pose, board_coordinates.view(pose, board_corners(MARKS), weight)
 
 
 def true_pose():
@@ -84,11 +84,11 @@ def true_pose():
 @pytest.mark.parametrize("case", CASES)
 def test_measured_places_and_residuals_are_those_of_a_pose_solved_again(case):
     truth = recording(*CASES[case])
-    assert chain.active(truth)
+    assert board_coordinates.active(truth)
     rotation, translation = true_pose()
     pose, seen = solved(truth, rotation, translation)
     want = trace.to_board(pose, rays.see(truth, CAMERA, rotation, translation, LIGHT, level=LEVEL))[0]
-    got, residual = chain.measured(truth, seen, LIGHT, LEVEL)
+    got, residual = board_coordinates.measured(truth, seen, LIGHT, LEVEL)
     effect = np.abs(want - LIGHT).max()
     assert effect > 0.03, "the case moves the light by more than it is held to"
     # A thousandth of what the effect does, and well below a bin's sigma of 5 µm.
@@ -99,11 +99,11 @@ def test_measured_places_and_residuals_are_those_of_a_pose_solved_again(case):
 def test_wrong_intrinsics_are_seen_through_the_same_step():
     true = replace(CAMERA, focal=1690.0, principal_point=(808.0, 592.0), distortion=(-0.07, 0.03, 6e-4, -4e-4, 0.0))
     truth = recording({}, {})
-    assert not chain.active(truth)
+    assert not board_coordinates.active(truth)
     rotation, translation = true_pose()
     pose, seen = solved(truth, rotation, translation, true)
     want = trace.to_board(pose, rays.see(truth, true, rotation, translation, LIGHT))[0]
-    got, residual = chain.measured(truth, seen, LIGHT, camera=true)
+    got, residual = board_coordinates.measured(truth, seen, LIGHT, camera=true)
     assert np.abs(want - LIGHT).max() > 0.05
     assert np.abs(got - want).max() < 5e-4
     assert np.abs(residual - pose.residuals.mean(axis=1)).max() < 1e-3
@@ -128,15 +128,15 @@ def test_a_turned_board_shows_nothing_of_it(turn):
     pose = trace.solve_pose(CAMERA, observations(pictured(board_corners(MARKS).reshape(-1, 2)).reshape(-1, 4, 2)))
     assert np.abs(pose.residuals).max() < 1e-6
     assert np.abs(trace.to_board(pose, pictured(LIGHT))[0] - LIGHT).max() < 1e-6
-    seen = chain.view(pose, board_corners(MARKS), np.tile(np.eye(8) / CORNER**2, (25, 1, 1)))
+    seen = board_coordinates.view(pose, board_corners(MARKS), np.tile(np.eye(8) / CORNER**2, (25, 1, 1)))
     effects = {"screen-tilt": {"st_y": 20.0, "st_z": -15.0}, "screen-rotation": {"srot": 9.0}}
-    got, residual = chain.measured(recording({**effects, "screen-distance": {"sx": 7.0}}, {}), seen, LIGHT)
+    got, residual = board_coordinates.measured(recording({**effects, "screen-distance": {"sx": 7.0}}, {}), seen, LIGHT)
     assert np.abs(got - LIGHT).max() < 1e-6 and np.abs(residual).max() < 1e-6
 
 
 def test_without_effects_nothing_moves():
     truth = recording({}, {})
     pose, seen = solved(truth, *true_pose())
-    got, residual = chain.measured(truth, seen, LIGHT, LEVEL)
+    got, residual = board_coordinates.measured(truth, seen, LIGHT, LEVEL)
     assert np.abs(got - LIGHT).max() < 1e-6 and np.abs(residual).max() < 1e-6
-    assert np.allclose(chain.read_back(seen, trace.to_pixels(pose, LIGHT)), LIGHT, atol=1e-8)
+    assert np.allclose(board_coordinates.read_back(seen, trace.to_pixels(pose, LIGHT)), LIGHT, atol=1e-8)

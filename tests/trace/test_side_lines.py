@@ -5,7 +5,7 @@ with errors that are true, however the lines lie; a single line has to be told f
 import numpy as np
 import pytest
 
-from benchsim.trace.parting import comb, one_line
+from benchsim.trace.side_lines import comb, one_line
 
 Q = np.arange(-30.0, 30.0, 0.6)
 PLACES = np.arange(-40.0, 40.0, 0.05)

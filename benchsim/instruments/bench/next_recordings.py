@@ -24,8 +24,8 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Exposure, Recording
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.problem import Effect, Further, Problem
+from benchsim.instruments.bench.facet_lines import as_parted
 from benchsim.instruments.bench.observed import Observed
-from benchsim.instruments.bench.parting import as_parted
 
 Array = NDArray[np.float64]
 

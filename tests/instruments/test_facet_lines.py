@@ -16,12 +16,12 @@ from benchsim.bench.curve import signed_distance
 from benchsim.bench.files import read
 from benchsim.diagnosis import degeneracy
 from benchsim.diagnosis.naming import name
-from benchsim.instruments.bench import further, observables, parting
+from benchsim.instruments.bench import facet_lines, next_recordings, observables
 from benchsim.instruments.bench.observed import beside
 from benchsim.instruments.bench.problem import build, draw
 from benchsim.instruments.bench.simulation import simulate_one
-from benchsim.trace.parting import Across
 from benchsim.trace.pose import Pose
+from benchsim.trace.side_lines import Across
 from benchsim.trace.table import Trace
 
 ROOT = Path(__file__).parents[2]
@@ -32,7 +32,7 @@ TILTS = np.array([0.35, 0.8, 0.3, -1.3, 0.9, 0.45, -0.5, 0.6, 0.4, 0.3, 0.0, 0.5
 
 
 def shown(exposure, tilts, rng, bent=0.0, shaken=0.0, bench=RECORDING):
-    """What an exposure shows across its trace; tilts [mrad], bent [mrad] and shaken [mm] as `parting._shapes`."""
+    """What an exposure shows across its trace; tilts [mrad], bent [mrad] and shaken [mm] as `facet_lines._shapes`."""
     observed = simulate_one(RECORDING, RECORDING.exposures.index(exposure))
     curve = rays.predict(RECORDING, exposure, width=False)
     s = np.linspace(0.05, 0.95, 16) * curve.arc_length()[-1]
@@ -42,9 +42,9 @@ def shown(exposure, tilts, rng, bent=0.0, shaken=0.0, bench=RECORDING):
     view = observed.view
     solved = np.zeros((6, 6)), np.zeros((0, 4, 2)), 1.0, np.zeros(0, bool), (), 0.0
     pose = Pose(view.rotation, view.translation, view.camera, *solved)
-    blur = 0.7 * parting.mm_per_px(pose, blank.points, blank.normal)
-    places, (line,) = parting._shapes(bench, exposure, blank, blur, 1e-3 * bent, (shaken,))
-    lever = parting._lever(RECORDING, exposure, blank.points)
+    blur = 0.7 * facet_lines.mm_per_px(pose, blank.points, blank.normal)
+    places, (line,) = facet_lines._shapes(bench, exposure, blank, blur, 1e-3 * bent, (shaken,))
+    lever = facet_lines._lever(RECORDING, exposure, blank.points)
     lines = zip(q, lever, line, strict=True)
     light = np.array([np.mean([np.interp(x - t * u, places, y) for t in tilts], axis=0) for x, u, y in lines])
     light = light / light.max() + blank.sigma * rng.standard_normal(q.shape)
@@ -61,7 +61,7 @@ def test_the_parting_of_many_lines_is_their_mean_square_lean_times_the_levers_sq
     rng = np.random.default_rng(5)
     for exposure in RECORDING.exposures[:2]:
         across, pose, ridge, lever = shown(exposure, TILTS, rng)
-        found = parting.parted(RECORDING, exposure, across, pose, 0.7, ridge)
+        found = facet_lines.parted(RECORDING, exposure, across, pose, 0.7, ridge)
         assert found is not None and len(found.s) == 16
         sigma = np.sqrt(np.diag(found.parting_covariance))
         assert np.abs((found.parting - TILTS.var() * lever**2) / sigma).max() < 4
@@ -73,9 +73,9 @@ def test_the_parting_of_many_lines_is_their_mean_square_lean_times_the_levers_sq
 def test_a_single_line_however_broad_is_left_alone(bent, shaken):
     exposure = RECORDING.exposures[0]
     across, pose, ridge, _ = shown(exposure, np.zeros(1), np.random.default_rng(6), bent, shaken)
-    assert parting.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
+    assert facet_lines.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
     gated = replace(exposure, facet=3)
-    assert parting.parted(RECORDING, gated, across, pose, 0.7, ridge) is None
+    assert facet_lines.parted(RECORDING, gated, across, pose, 0.7, ridge) is None
 
 
 @pytest.mark.parametrize("coma", [(-0.034, -0.029), (0.062, 0.017), (-0.011, 0.095)])
@@ -84,7 +84,7 @@ def test_a_single_line_of_a_beam_with_coma_is_left_alone(coma):
     bench = replace(RECORDING, effects={"coma": dict(zip(("coma_u", "coma_v"), coma, strict=True))})
     for exposure in RECORDING.exposures[:2]:
         across, pose, ridge, _ = shown(exposure, np.zeros(1), np.random.default_rng(13), bench=bench)
-        assert parting.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
+        assert facet_lines.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_a_single_line_of_a_beam_with_coma_and_bent_besides_is_left_alone(coma, 
     bench = replace(RECORDING, effects={"coma": dict(zip(("coma_u", "coma_v"), coma, strict=True))})
     for exposure in RECORDING.exposures[:2]:
         across, pose, ridge, _ = shown(exposure, np.zeros(1), np.random.default_rng(13), bent, shaken, bench)
-        assert parting.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
+        assert facet_lines.parted(RECORDING, exposure, across, pose, 0.7, ridge) is None
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def parted_problem():
         parting=np.full(16, 20.0),
         parting_covariance=np.eye(16) * 0.6**2,
     )
-    return build(RECORDING, tuple(parting.as_parted(o, (like,)) for o in seen), attached=False)
+    return build(RECORDING, tuple(facet_lines.as_parted(o, (like,)) for o in seen), attached=False)
 
 
 def test_the_prediction_is_the_ray_models_parting(parted_problem):
@@ -140,7 +140,7 @@ def test_a_halo_about_a_single_line_is_no_line():
     across, pose, ridge, _ = shown(exposure, np.zeros(1), np.random.default_rng(12))
     halo = 0.012 * np.exp(-0.5 * (across.q / 12.0) ** 2)
     glaring = replace(across, light=across.light + halo)
-    assert parting.parted(RECORDING, exposure, glaring, pose, 0.7, ridge) is None
+    assert facet_lines.parted(RECORDING, exposure, glaring, pose, 0.7, ridge) is None
 
 
 def test_lines_apart_are_facets_only_where_all_exposures_show_the_same_leans():
@@ -149,18 +149,18 @@ def test_lines_apart_are_facets_only_where_all_exposures_show_the_same_leans():
     seen = observables.simulate(RECORDING, seed=2)
 
     def apart(o, lean):
-        return replace(o, parting=(lean * parting._lever(RECORDING, RECORDING.exposures[o.index], o.points)) ** 2)
+        return replace(o, parting=(lean * facet_lines._lever(RECORDING, RECORDING.exposures[o.index], o.points)) ** 2)
 
-    assert not parting.follow_facets(RECORDING, [apart(o, 1.5) for o in seen[:2]], seen[2:])
-    assert not parting.follow_facets(RECORDING, [apart(o, 1.0 + 0.15 * o.index) for o in seen], [])
-    assert parting.follow_facets(RECORDING, [apart(o, 1.5) for o in seen], [])
+    assert not facet_lines.follow_facets(RECORDING, [apart(o, 1.5) for o in seen[:2]], seen[2:])
+    assert not facet_lines.follow_facets(RECORDING, [apart(o, 1.0 + 0.15 * o.index) for o in seen], [])
+    assert facet_lines.follow_facets(RECORDING, [apart(o, 1.5) for o in seen], [])
 
 
 def test_gated_exposures_tell_random_leans_from_a_wobble_and_both_from_a_beam():
     seen = observables.simulate(RECORDING, seed=2)
     problem = build(RECORDING, seen, attached=False)
-    assert isinstance(problem.further, further.Next)
-    gated = [c for c in further.candidates(RECORDING) if c.exposures[0].facet is not None]
+    assert isinstance(problem.further, next_recordings.Next)
+    gated = [c for c in next_recordings.candidates(RECORDING) if c.exposures[0].facet is not None]
     assert len(gated) == 1 and "gated to one facet" in gated[0].what
     assert [e.facet for e in gated[0].exposures] == [0, 6]
     found = problem.further._one(gated[0])
@@ -172,4 +172,4 @@ def test_gated_exposures_tell_random_leans_from_a_wobble_and_both_from_a_beam():
     assert not tilts[64:half].any() and np.abs(beam[64:half]).max() > 0
     assert np.linalg.eigvalsh(found.covariance)[0] > 0 and found.covariance.shape == (2 * half, 2 * half)
     already = replace(RECORDING, exposures=(replace(RECORDING.exposures[0], facet=2), *RECORDING.exposures[1:]))
-    assert not [c for c in further.candidates(already) if "gated" in c.what]
+    assert not [c for c in next_recordings.candidates(already) if "gated" in c.what]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchsim.trial import certify, draws
+from benchsim.trial import draws, generator_test
 
 NOISE = (0.2, 0.01)
 
@@ -19,7 +19,7 @@ def bench():
 
 @pytest.fixture(scope="module")
 def certificate(bench):
-    return certify.certify(bench, 5, noise=NOISE, sets=3)
+    return generator_test.certify(bench, 5, noise=NOISE, sets=3)
 
 
 def test_the_generator_is_certified(certificate):
@@ -34,7 +34,9 @@ def test_one_count_alone_certifies_nothing(certificate):
 
 def test_a_trace_that_lies_elsewhere_is_refused(bench):
     """By 0.1 mm, at both counts."""
-    found = certify.certify(bench, 5, noise=NOISE, sets=2, drawn=replace(bench, effects={"canting": {"pyr": 0.03}}))
+    found = generator_test.certify(
+        bench, 5, noise=NOISE, sets=2, drawn=replace(bench, effects={"canting": {"pyr": 0.03}})
+    )
     assert not found.passed
     assert {t.what for t in found.tests if t.p_value < 1e-4} >= {"coarse against rays", "fine against rays"}
 
@@ -43,15 +45,15 @@ def test_a_trace_that_lies_elsewhere_is_refused(bench):
 @pytest.mark.parametrize("seed", range(4))
 def test_with_diffraction_as_trials_have_it(seed):
     bench = draws.bench("six", np.random.default_rng(seed), 2)
-    assert certify.certify(bench, seed).passed
+    assert generator_test.certify(bench, seed).passed
 
 
 def test_false_alarms_come_at_their_rate():
     """p ≤ 0.05 of bins of unequal noise, 400 trials: 34 or more in one of 1500 seeds if the rate is 0.05."""
     rng = np.random.default_rng(4)
-    sigma = np.exp(rng.normal(0, 0.7, certify.BINS))
+    sigma = np.exp(rng.normal(0, 0.7, generator_test.BINS))
     low = 0
     for _ in range(400):
-        each = sigma * rng.standard_normal((4, certify.BINS))
-        low += certify._test("x", "y", each.mean(axis=0), each.var(axis=0, ddof=1) / 4, 4).p_value <= 0.05
+        each = sigma * rng.standard_normal((4, generator_test.BINS))
+        low += generator_test._test("x", "y", each.mean(axis=0), each.var(axis=0, ddof=1) / 4, 4).p_value <= 0.05
     assert low < 34

@@ -15,7 +15,7 @@ import pytest
 from benchsim.diagnosis.fitting import STILL
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
-from benchsim.trial.sight import Sight, refitted, rival_refitted
+from benchsim.trial.visibility import Sight, refitted, rival_refitted
 
 X, NOISE, CUBIC = np.linspace(-1, 1, 40), 0.01, 0.02
 

@@ -24,8 +24,8 @@ from benchsim.bench.curve import signed_distance
 from benchsim.bench.model import Exposure, Physics, Recording
 from benchsim.instruments.bench.observed import Observed, mm_per_px, no_shape, nominal, smooth_floor
 from benchsim.rays.cross_section import cross_sections
-from benchsim.trace.parting import CELLS, REACH, Across, Comb, comb, one_line
 from benchsim.trace.pose import Pose
+from benchsim.trace.side_lines import CELLS, REACH, Across, Comb, comb, one_line
 from benchsim.trace.table import Trace
 
 Array = NDArray[np.float64]

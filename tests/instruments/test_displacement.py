@@ -10,7 +10,7 @@ from benchsim import rays
 from benchsim.bench.curve import signed_distance
 from benchsim.bench.files import read
 from benchsim.diagnosis.result import Diagnosis, Found, Residuals, Size
-from benchsim.instruments.bench import amend, effects, observables, sizes
+from benchsim.instruments.bench import amended_file, displacement, effects, observables
 from benchsim.instruments.bench.candidates import simulated
 from benchsim.instruments.bench.prediction import SAMPLES
 from benchsim.instruments.bench.problem import build
@@ -41,7 +41,7 @@ def test_the_size_is_the_rms_by_which_the_trace_moves(made):
     """Rationale: a share of 0.9 says nothing in millimetres. Expectation: where the two curves of the ray model, with
     and without facets, lie apart at the data's points."""
     recording, problem = made
-    (got,) = sizes.sized(problem, diagnosis({"facets": ("facets", 0.9)})).effects
+    (got,) = displacement.sized(problem, diagnosis({"facets": ("facets", 0.9)})).effects
     apart = []
     bare = replace(recording, physics=simulated(recording, "vector"))
     for block in problem.predict.blocks:
@@ -64,24 +64,24 @@ def test_it_is_of_the_fitted_point_and_of_each_switch_alone(made):
     """All three together; diffraction changes the width and moves little. A share of 0 is still as uncertain."""
     _, problem = made
     d = diagnosis({"facets": ("facets", 0.9), "finite-beam": ("beam", 0.95), "diffraction": ("fresnel", 0.8)})
-    got = {f.name: f.parameters["size_mm"] for f in sizes.sized(problem, d).effects}
-    alone = sizes.sized(problem, diagnosis({"facets": ("facets", 0.9)})).effects[0].parameters["size_mm"]
+    got = {f.name: f.parameters["size_mm"] for f in displacement.sized(problem, d).effects}
+    alone = displacement.sized(problem, diagnosis({"facets": ("facets", 0.9)})).effects[0].parameters["size_mm"]
     assert got["facets"].value != pytest.approx(alone.value, rel=0.05)
     assert got["finite-beam"].value > 0.001 and got["diffraction"].value < 0.1 * got["finite-beam"].value
-    nothing = sizes.sized(problem, diagnosis({"facets": ("facets", 0.0)})).effects[0].parameters["size_mm"]
+    nothing = displacement.sized(problem, diagnosis({"facets": ("facets", 0.0)})).effects[0].parameters["size_mm"]
     assert nothing.value == 0 and nothing.sigma == pytest.approx(0.02 * alone.value / 0.9, rel=1e-2)
 
 
 def test_other_effects_stay_as_they_are(made):
     _, problem = made
     d = diagnosis({"canting": ("pyr", 1.5)})
-    assert sizes.sized(problem, d) == d
+    assert displacement.sized(problem, d) == d
 
 
 def test_the_amended_file_states_the_share_and_a_file_may_state_both(made):
     recording, problem = made
-    d = sizes.sized(problem, diagnosis({"facets": ("facets", 0.9)}))
+    d = displacement.sized(problem, diagnosis({"facets": ("facets", 0.9)}))
     stated = replace(recording, effects={"facets": {"facets": 0.05, "size_mm": 2.0}})
     effects.check(stated)
-    assert amend.amended(recording, d, against="vector").effects == {"facets": {"facets": 0.9}}
-    assert amend.amended(stated, d, against="vector").effects == {"facets": {"facets": pytest.approx(0.95)}}
+    assert amended_file.amended(recording, d, against="vector").effects == {"facets": {"facets": 0.9}}
+    assert amended_file.amended(stated, d, against="vector").effects == {"facets": {"facets": pytest.approx(0.95)}}

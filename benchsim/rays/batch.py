@@ -14,8 +14,8 @@ from typing import Any, cast
 import numpy as np
 
 from benchsim.rays.bench import Bench, nodes_needed
+from benchsim.rays.interpolated_trace import rules
 from benchsim.rays.laser import some
-from benchsim.rays.smooth import rules
 
 FEWEST = 8
 """Benches of the same effects that make a stack of their own; fewer share one whose formulas cover all of theirs."""
