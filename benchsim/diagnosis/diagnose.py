@@ -134,7 +134,7 @@ def _open(
     doubt = {f.name for f in found if f.confidence != "named"}
     if not groups and not unnamed and not doubt:
         return (), ()
-    further = problem.further() if problem.further is not None else ()
+    further = problem.next_recordings() if problem.next_recordings is not None else ()
     lone = tuple(f.name for f in found)
     everyone: list[Alive] = []
     made = []

@@ -287,7 +287,7 @@ def refine(
         known = amplitudes(problem, laid.linear.names)
         plain = linearise(problem, at, known, naming.noise.covariance)
         laid = _one(own, _ground(problem, naming, plain, offset=offset))
-    return _checked(problem, naming, laid, white @ laid.coefficients, on)
+    return checked(problem, naming, laid, white @ laid.coefficients, on)
 
 
 def _exactly(
@@ -303,7 +303,7 @@ def _exactly(
     return there, seen, laid.linear.residual - laid.linear.nuisance @ pull - laid.linear.effect @ size
 
 
-def _checked(problem: Problem, naming: Naming, laid: Attached, function: Array, on: Fit) -> Attached:
+def checked(problem: Problem, naming: Naming, laid: Attached, function: Array, on: Fit) -> Attached:
     """The same, its ln Z less by what the exact prediction misses of the misfit that it was to leave.
 
     About a null that is far off, nuisances that follow a function can be led to where no linearisation holds: it then

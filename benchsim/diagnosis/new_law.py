@@ -190,7 +190,7 @@ def law(problem: Problem, naming: Naming, on: Fit, laid: Attached, many: Sequenc
         white, _ = whiten(problem, naming.noise.covariance, attachment.basis)
         terms, amplitudes = select(attachment, white, absorb(problem, laid.linear), laid.scale)
         coefficients = at_knots(attachment, terms) @ amplitudes
-        found = _printed(attachment, terms, amplitudes)
+        found = printed(attachment, terms, amplitudes)
     return Law(
         attachment.name,
         attachment.coordinate,
@@ -219,7 +219,7 @@ def _named(base: Linear, own: Linear, keep: NDArray[np.bool_], scale: float, shi
     return shift_of
 
 
-def _printed(attachment: Attachment, terms: Sequence[Monomial], amplitudes: Array) -> dict[str, float]:
+def printed(attachment: Attachment, terms: Sequence[Monomial], amplitudes: Array) -> dict[str, float]:
     """Terms with the coordinates' own names where the coordinate tells them, per unit of the raw coordinates."""
     _, size = _scaled(attachment)
     d = attachment.knots.shape[1]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchsim.diagnosis.degeneracy import Space, separation
 from benchsim.diagnosis.fits import Effects
 from benchsim.diagnosis.linear import Linear
-from benchsim.diagnosis.problem import Further, Problem
+from benchsim.diagnosis.problem import NextRecording, Problem
 from benchsim.diagnosis.result import SplitBy
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ class Alive:
     signal: Array
 
 
-def gram_with(problem: Problem, linear: Linear, scale: float, further: Further) -> Array:
+def gram_with(problem: Problem, linear: Linear, scale: float, further: NextRecording) -> Array:
     """Gram matrix of the catalogue's amplitudes with a further recording, nuisances marginalised, (k, k).
 
     Nuisances that both know are shared; those that the recording brings have their own priors.
@@ -62,7 +62,12 @@ def gram_with(problem: Problem, linear: Linear, scale: float, further: Further) 
 
 
 def rank(
-    problem: Problem, linear: Linear, scale: float, within: Space, alive: Sequence[Alive], further: Sequence[Further]
+    problem: Problem,
+    linear: Linear,
+    scale: float,
+    within: Space,
+    alive: Sequence[Alive],
+    further: Sequence[NextRecording],
 ) -> tuple[SplitBy, ...]:
     """Further recordings and observables by what they would decide, the best first.
 
@@ -77,7 +82,7 @@ def rank(
         Of ``linear``.
     alive : sequence of Alive
         At least two, else nothing is left to tell apart.
-    further : sequence of Further
+    further : sequence of NextRecording
 
     Returns
     -------

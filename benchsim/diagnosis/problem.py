@@ -120,7 +120,7 @@ class Attachment:
 
 
 @dataclass(frozen=True)
-class Further:
+class NextRecording:
     """A recording or observable that could be had next, as what it would measure, linearised at the stated setting.
 
     Attributes
@@ -174,7 +174,7 @@ class Problem:
         attribute ``many``, it also takes a list of values and one of their blocks, and gives the list of their
         predictions; call it by `linear.predictions`, which makes use of that.
     attachments : tuple of Attachment
-    further : callable or None
+    next_recordings : callable or None
         Called only when something is open: gives what could be recorded next.
     stated : bool
         Whether somebody stated the sigma of the scaled nuisances: a name that asks for errors several times as large is
@@ -196,7 +196,7 @@ class Problem:
     catalogue: tuple[Effect, ...]
     predict: Callable[[Values, int], Array]
     attachments: tuple[Attachment, ...] = ()
-    further: Callable[[], tuple[Further, ...]] | None = None
+    next_recordings: Callable[[], tuple[NextRecording, ...]] | None = None
     stated: bool = True
     spread: Callable[..., Iterable[Any]] = field(default=map)
 

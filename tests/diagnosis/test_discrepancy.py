@@ -141,15 +141,15 @@ def test_what_a_function_promises_and_the_prediction_does_not_keep_is_taken_off(
     first = next(a for a in discrepancy.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
     white, _ = whiten(problem, found.noise.covariance, first.attachment.basis)
     function = white @ first.coefficients
-    honest = discrepancy._checked(problem, found, first, function, found.null)
+    honest = discrepancy.checked(problem, found, first, function, found.null)
     assert honest.log_evidence == pytest.approx(first.log_evidence, abs=0.1)
     empty = replace(first.linear, residual=np.zeros(len(function)), nuisance=np.zeros_like(first.linear.nuisance))
     promising = replace(first, linear=replace(empty, residual=function))
-    checked = discrepancy._checked(problem, found, promising, function, found.null)
+    kept = discrepancy.checked(problem, found, promising, function, found.null)
     seen, _ = whiten(problem, found.noise.covariance, problem.data - predict_all(problem, {}))
     left = 0.5 * float(np.sum((seen - function) ** 2))
     assert left > 100
-    assert checked.log_evidence == pytest.approx(first.log_evidence - left, rel=1e-6)
+    assert kept.log_evidence == pytest.approx(first.log_evidence - left, rel=1e-6)
 
 
 def test_a_null_is_as_probable_about_any_point_where_all_is_linear():

@@ -70,5 +70,5 @@ def test_terms_carry_the_coordinates_names_and_units():
     a = toy().attachments[0]
     knots = np.array([[y, z] for y in (-200.0, 200.0) for z in (-100.0, 0.0, 100.0)])
     two = type(a)(**{**vars(a), "coordinate": "board y, z", "knots": knots, "component": np.array([0, 0, 0, 1, 1, 1])})
-    printed = new_law._printed(two, [new_law.Monomial(0, (1, 2)), new_law.Monomial(1, (0, 0))], np.array([4.0, 1.0]))
-    assert printed == {"y z^2 [0]": pytest.approx(4.0 / 200 / 100**2), "1 [1]": 1.0}
+    found = new_law.printed(two, [new_law.Monomial(0, (1, 2)), new_law.Monomial(1, (0, 0))], np.array([4.0, 1.0]))
+    assert found == {"y z^2 [0]": pytest.approx(4.0 / 200 / 100**2), "1 [1]": 1.0}

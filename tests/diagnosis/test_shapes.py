@@ -46,7 +46,7 @@ def line(bump: float, at: float, noise: float, seed: int) -> Problem:
         catalogue=(BUMP,),
         predict=predict,
         attachments=(),
-        further=None,
+        next_recordings=None,
     )
 
 

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from benchsim.diagnosis.problem import Attachment, Effect, Further, Parameter, Problem
+from benchsim.diagnosis.problem import Attachment, Effect, NextRecording, Parameter, Problem
 
 SHAPES = {
     "bow": ("screen", lambda x, t: x**2),
@@ -91,7 +91,7 @@ def toy(
         catalogue=tuple(e for e in catalogue if e.name not in without),
         predict=model,
         attachments=attachments(angles) if attached else (),
-        further=partial(further, angles),
+        next_recordings=partial(further, angles),
     )
 
 
@@ -120,10 +120,10 @@ def attachments(angles: tuple[float, ...]) -> tuple[Attachment, ...]:
     )
 
 
-def further(angles: tuple[float, ...]) -> tuple[Further, ...]:
+def further(angles: tuple[float, ...]) -> tuple[NextRecording, ...]:
     """Two observables: a closer look at the middle, which tells the lenses apart, and one that tells nothing."""
     x, t = np.linspace(-1, 1, 40), 1.0
     shapes = {n.replace("-", "_"): shape(x, t) for n, (_, shape) in SHAPES.items()}
-    fine = Further("observable", "the line through a microscope", np.eye(40) * 1e-8, {}, {}, shapes)
-    nothing = Further("recording", "the same once more", np.eye(40), {}, {}, {k: np.zeros(40) for k in shapes})
+    fine = NextRecording("observable", "the line through a microscope", np.eye(40) * 1e-8, {}, {}, shapes)
+    nothing = NextRecording("recording", "the same once more", np.eye(40), {}, {}, {k: np.zeros(40) for k in shapes})
     return nothing, fine

@@ -159,11 +159,11 @@ def test_lines_apart_are_facets_only_where_all_exposures_show_the_same_leans():
 def test_gated_exposures_tell_random_leans_from_a_wobble_and_both_from_a_beam():
     seen = observables.simulate(RECORDING, seed=2)
     problem = build(RECORDING, seen, attached=False)
-    assert isinstance(problem.further, next_recordings.Next)
+    assert isinstance(problem.next_recordings, next_recordings.Next)
     gated = [c for c in next_recordings.candidates(RECORDING) if c.exposures[0].facet is not None]
     assert len(gated) == 1 and "gated to one facet" in gated[0].what
     assert [e.facet for e in gated[0].exposures] == [0, 6]
-    found = problem.further._one(gated[0])
+    found = problem.next_recordings._one(gated[0])
     tilts, wobble, beam = (found.effect[name] for name in ("tilt_rms", "wob_c", "astig0"))
     half = len(tilts) // 2
     # A lean of 1 mrad moves a line by some 4 mm; opposite facets that wobble move to opposite sides.

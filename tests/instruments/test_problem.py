@@ -266,8 +266,8 @@ def test_bow_of_other_code_is_measured_within_three_sigma():
 
 def test_what_could_be_recorded_next_shares_what_is_left_untouched(made):
     _, problem = made
-    assert problem.further is not None
-    found = {f.what.split()[0] + (" marks" if f.kind == "observable" else ""): f for f in problem.further()}
+    assert problem.next_recordings is not None
+    found = {f.what.split()[0] + (" marks" if f.kind == "observable" else ""): f for f in problem.next_recordings()}
     assert {"repeat", "roll", "move", "photograph", "photograph marks"} <= found.keys()
     names = {p.name for p in problem.nuisances}
     last = problem.groups[-1]

@@ -321,7 +321,7 @@ def joined(problem: Problem, asymmetries: Mapping[int, Asymmetry]) -> Problem:
         covariance=tuple(covariance),
         predict=Predictions(problem.predict, asymmetries),
         attachments=(),
-        further=None,
+        next_recordings=None,
     )
 
 

@@ -23,7 +23,7 @@ from scipy.linalg import block_diag
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Exposure, Recording
 from benchsim.diagnosis import linear
-from benchsim.diagnosis.problem import Effect, Further, Problem
+from benchsim.diagnosis.problem import Effect, NextRecording, Problem
 from benchsim.instruments.bench.facet_lines import as_parted
 from benchsim.instruments.bench.observed import Observed
 
@@ -58,7 +58,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Next:
-    """``Problem.further`` of a recording.
+    """``Problem.next_recordings`` of a recording.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Next:
     parted: tuple[Observed, ...] = ()
     spread: Callable[..., Iterable[Any]] = map
 
-    def __call__(self) -> tuple[Further, ...]:
+    def __call__(self) -> tuple[NextRecording, ...]:
         """All candidates whose trace would meet the board in view of the camera."""
         out = []
         for candidate in candidates(self.recording):
@@ -95,7 +95,7 @@ class Next:
                 continue
         return tuple(out)
 
-    def _one(self, c: Candidate) -> Further:
+    def _one(self, c: Candidate) -> NextRecording:
         recording = replace(
             self.recording,
             exposures=(*self.recording.exposures, *c.exposures),
@@ -119,7 +119,7 @@ class Next:
             if name in place:
                 typical = np.array(leans)[problem.block] * (problem.kind == "c")
                 columns[:, place[name]] = typical * columns[:, place["pyr"]]
-        return Further(
+        return NextRecording(
             c.kind,
             c.what,
             block_diag(*problem.covariance)[np.ix_(rows, rows)],

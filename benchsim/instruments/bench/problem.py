@@ -116,7 +116,9 @@ def build(
         catalogue=catalogue,
         predict=predict,
         attachments=attachments(predict) if attached else (),
-        further=Next(recording, against, catalogue, build, simulate_one, tuple(o for o in observed if len(o.parting))),
+        next_recordings=Next(
+            recording, against, catalogue, build, simulate_one, tuple(o for o in observed if len(o.parting))
+        ),
     )
 
 

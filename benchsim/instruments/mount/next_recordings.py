@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import amplitudes
-from benchsim.diagnosis.problem import Effect, Further, Problem
+from benchsim.diagnosis.problem import Effect, NextRecording, Problem
 from benchsim.instruments.mount import axes
 from benchsim.instruments.mount.posing import problem_of
 from benchsim.instruments.mount.prediction import Predict
@@ -40,7 +40,7 @@ class Next:
     predict: Predict
     sigma: float
 
-    def __call__(self) -> tuple[Further, ...]:
+    def __call__(self) -> tuple[NextRecording, ...]:
         """Every candidate, linearised at the stated mount."""
         return tuple(
             _further(self.problem, self.predict, self.sigma, what, records)
@@ -111,7 +111,7 @@ def aimed(mount: Mount, sun: Array, spot: Array, known: Array) -> Array | None:
     return None
 
 
-def _further(problem: Problem, predict: Predict, sigma: float, what: str, records: Records) -> Further:
+def _further(problem: Problem, predict: Predict, sigma: float, what: str, records: Records) -> NextRecording:
     n = len(records.names)
     order = {t: k for t, k in zip(predict.records.target, predict.target_number, strict=True)}
     number = np.array([order.get(t, 0) for t in records.target], np.intp)
@@ -119,7 +119,7 @@ def _further(problem: Problem, predict: Predict, sigma: float, what: str, record
     stub = problem_of(own, problem.catalogue, sigma)
     many = [p for e in _steady(problem.catalogue) for p in amplitudes(e)]
     slopes = linear.columns(stub, {}, (*stub.nuisances, *many))
-    return Further(
+    return NextRecording(
         kind="recording",
         what=what,
         covariance=np.eye(2 * n) * sigma**2,

@@ -178,7 +178,7 @@ def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attache
     problem = problem_of(predict, catalogue, sigma)
     if attached:
         problem = replace(problem, attachments=attachments(problem, predict))
-    problem = replace(problem, further=Next(problem, predict, sigma))
+    problem = replace(problem, next_recordings=Next(problem, predict, sigma))
     return Built(problem, kept, tuple(names[k] for k in judged.aside), sigma, ())
 
 
