@@ -9,7 +9,7 @@ from benchsim.diagnosis import degeneracy
 from benchsim.diagnosis.degeneracy import Space, Weighed, claim, likely, separation
 from benchsim.diagnosis.linear import linearise
 from benchsim.diagnosis.next_experiment import gram_with
-from benchsim.diagnosis.problem import Further, Parameter
+from benchsim.diagnosis.problem import NextRecording, Parameter
 
 
 def whole(problem):
@@ -165,7 +165,7 @@ def test_a_further_recording_counts_as_if_it_were_there():
     last = ~now
     new = {f"g7.{k}": i for k, i in (("offset", 21), ("slope", 22), ("shift", 23))}
     priors = {n: Parameter(n, "mm", 0.5, scaled=True) for n in new}
-    more = Further(
+    more = NextRecording(
         "recording",
         "the eighth line",
         np.eye(int(last.sum())),
