@@ -154,6 +154,8 @@ def diagnosed(problem: Problem, truth: draw.Truth) -> tuple[Diagnosis, Part]:
     line = {"parameter_pulls": pulls_of(d, truth), "limit_stated": limits_stated(d, truth), "cpu_s": spent}
     if truth.effects and {*truth.effects} <= {e.name for e in problem.catalogue}:
         line["truth_ahead"] = study_search.ahead(problem, found, truth.effects)
+    best = next((f for f in found.fits if f.converged), found.null)
+    line["evidence_off"] = study_search.sampled(problem, found, best)
     return d, {**verdict_of(displacement.sized(problem, d)), **line}
 
 

@@ -33,6 +33,9 @@ FAR = 0.015
 LOST = 0.5
 """ln Z."""
 
+COUNTED = 20
+"""Effective sample from which on sampled evidence is known to a quarter in ln Z."""
+
 WIDTH = 100
 """Of the quantities' names."""
 
@@ -176,7 +179,14 @@ def found(cases: Sequence[Case]) -> str:
     """Of the search alone, whatever is said then."""
     begun = [c for c in cases if "truth_ahead" in c]
     title = f"search: the fit that begins at the truth lies at most {LOST} in ln Z above the best found"
-    return row(title, begun, lambda c: c["truth_ahead"] <= LOST, 0.99)
+    sampled = [c for c in cases if (c.get("evidence_off") or (0.0, 0.0))[1] >= COUNTED]
+    within = f"evidence: the best fit's is within {LOST} in ln Z of importance sampling (effective sample ≥ {COUNTED})"
+    return "\n".join(
+        [
+            row(title, begun, lambda c: c["truth_ahead"] <= LOST, 0.99),
+            row(within, sampled, lambda c: abs(c["evidence_off"][0]) <= LOST),
+        ]
+    )
 
 
 def quiet(case: Case) -> bool:
