@@ -23,7 +23,7 @@ from benchsim.diagnosis import degeneracy, evidence, linear, screen, settings
 from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fits import LARGEST, Effects
-from benchsim.diagnosis.fitting import RENEWALS, Start, fitted, misses
+from benchsim.diagnosis.fitting import RENEWALS, Start, as_it_stands, fitted, misses
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, values
 from benchsim.diagnosis.places import Place, unseen, valleys, whole
 from benchsim.diagnosis.screen import Catalogue
@@ -257,8 +257,7 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
             point = _point(s, h, parent.point.nuisance, {**kept, new: place})
             out.append(Start(h, point, parent.columns[:, :p], _scale(s, parent)))
         if parent is s.stated or (len(effects) > 1 and strayed(s.context, parent)):
-            anew = _either(s, h, kept, new) if new in s.bending else many[-1:] if kept else []
-            for place in anew:
+            for place in _either(s, h, kept, new) if new in s.bending else _anew(s, parent, new) if kept else []:
                 out.append(Start(h, _point(s, h, np.zeros(p), {**kept, new: place}), s.stated.columns[:, :p]))
     for above in (x for x in s.done.values() if len(x.fit.effects) == len(effects) + 1 and not misses(x)):
         if set(effects) < set(above.fit.effects):
@@ -283,6 +282,14 @@ def _either(s: Search, h: Hypothesis, kept: Mapping[str, Place], name: str) -> l
     left = s.context.whiten(s.context.problem.data[:, None] - np.column_stack(s.context.predict(asked)))
     chi2 = np.diag(linear.marginal(s.stated.fit.linear, left, s.done[()].fit.setting_scale).gram)
     return [many[i] for i in np.argsort(chi2) if np.isfinite(chi2[i])][:VALLEYS]
+
+
+def _anew(s: Search, parent: Solved, name: str) -> list[Place]:
+    """Where an effect might begin beside the effects of a fit, but at the stated settings."""
+    point = replace(parent.point, nuisance=np.zeros_like(parent.point.nuisance))
+    nuisance = s.context.whiten.undone(s.stated.columns[:, : len(point.nuisance)])
+    about = as_it_stands(s.context, s.hypothesis(parent.fit.effects), point, nuisance)
+    return _places(s, about, [name])[name][:VALLEYS]
 
 
 def _scale(s: Search, solved: Solved) -> int:
@@ -329,9 +336,15 @@ def _places(s: Search, about: Solved, names: Sequence[str]) -> dict[str, list[Pl
             shape = np.array([node.shape[p.name] for p in shapes])
             found.append([Place(gain + node.log_weight, q, shape) for gain, q in many])
         if shapes:
-            # Of a grid of places those that are better than all about them.
-            gain = np.reshape([many[0].gain for many in found], [len(p.grid) for p in shapes])
-            found = [[found[i][0] for i in np.flatnonzero(gain == maximum_filter(gain, 3, mode="nearest"))]]
+            # Of a grid of places those that are better than all about them with the same sign: beside a place the
+            # other sign imitates what is there, and no fit leads from one to the other.
+            grid = [len(p.grid) for p in shapes]
+            gain, sign = (
+                np.reshape(x, grid) for x in zip(*((m[0].gain, np.sign(m[0].amplitude[0])) for m in found), strict=True)
+            )
+            of = [np.where(sign == one, gain, -np.inf) for one in (-1, 1)]
+            best = sum((g == maximum_filter(g, 3, mode="nearest")) & np.isfinite(g) for g in of)
+            found = [[found[i][0] for i in np.flatnonzero(best)]]
         out[name] = sorted(found[0], key=lambda x: -x.gain)
     return out
 

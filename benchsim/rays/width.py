@@ -23,9 +23,9 @@ lean differently from phase to phase, and the width follows its knots."""
 
 
 MOST = 2000
-"""Half the samples of a profile with diffraction beyond which there is no trace. What the catalogue can do at four times
-its caps needs 812 at the most; light that a step of a fit sends towards the board's horizon is metres wide, and one such
-trace would take minutes and gigabytes."""
+"""Half the samples of a profile with diffraction beyond which there is no trace. What the catalogue can do at four
+times its caps needs 812 at the most; light that a step of a fit sends towards the board's horizon is metres wide, and
+one such trace would take minutes and gigabytes."""
 
 
 def blurs(bench: Bench, lateral: Array) -> Array:
