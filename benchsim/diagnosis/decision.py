@@ -23,7 +23,7 @@ from benchsim.diagnosis.cross_validation import Fold
 from benchsim.diagnosis.degeneracy import Claim, Space, Weighed
 from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.fits import Effects, Fit, Naming
-from benchsim.diagnosis.linear import Linear, factors, linearise, marginal, nuisance_posterior, predict_all, whiten
+from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.location import Explanation
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Found, Location
@@ -98,14 +98,10 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         more,
         left,
         _further(problem, naming, best, more, left_null, left),
-        not best.fit.effects or not more or _with(problem, naming, more[0], modes)[1].acceptable,
         apart=_apart(problem, naming, prepared, best),
     )
     if best.fit.effects and many:
         findings = _predicted(problem, naming, many, findings, best)
-    if findings.stands and findings.something_left and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING:
-        best = _beside(problem, naming, best, more[0])
-        findings = replace(findings, claim=best.claim)
     place = None
     if findings.claim is not None or findings.something_left:
         place = _place(problem, naming, best, findings, modes)
@@ -285,14 +281,13 @@ def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
         linear = degeneracy.about(naming.linear, fit)
         within = degeneracy.space(problem, linear, fit.setting_scale)
         signal = degeneracy.amplitude_vector(problem, naming.linear.names, fit)
-        hypotheses = degeneracy.complete(weighed, effects, within)
-        kept = degeneracy.likely(hypotheses, effects, signal, within)
+        kept = degeneracy.likely(weighed, effects, signal, within)
         if kept and (kept == effects or _of(kept) not in fits):
             # What was never refitted supports no claim: the larger set keeps its place.
-            claim = degeneracy.claim(hypotheses, effects, signal, within)
-            return Best(fit, effects, claim, hypotheses, linear, within, signal)
+            claim = degeneracy.claim(weighed, effects, signal, within)
+            return Best(fit, effects, claim, weighed, linear, within, signal)
         # What is more likely than not is said of what is open (`_besides`).
-        dropped = [e for e in effects if e not in kept and hypotheses.probability([(e,)]) < verdict.SUSPECTED]
+        dropped = [e for e in effects if e not in kept and weighed.probability([(e,)]) < verdict.SUSPECTED]
         if kept and dropped:
             notes.append(f"{' and '.join(dropped)}: hinted at, not likely enough to be said.")
         effects = kept
@@ -304,49 +299,25 @@ def _of(effects: Effects) -> Effects:
     return tuple(e for e in effects if e != settings.NAME)
 
 
-def _beside(problem: Problem, naming: Naming, best: Best, laid: Attached) -> Best:
-    """The claim where a function without a name lies on it: what that can imitate does not tell rivals apart."""
-    white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
-    linear = discrepancy.with_columns(best.linear, white @ laid.root)
-    within = degeneracy.space(problem, linear, best.fit.setting_scale)
-    claim = degeneracy.claim(best.hypotheses, best.effects, best.signal, within)
-    return replace(best, claim=claim, linear=linear, space=within)
-
-
 def _weigh(
     problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], on: Fit, best: Fit
 ) -> tuple[Attached, ...]:
     """All attachments on one hypothesis, those that could matter beside the best about their own nuisances."""
     rival = max(on.log_evidence, best.log_evidence)
-    laid = [(a, 0) for a in discrepancy.weigh(problem, naming, prepared, on)]
-    if on is naming.null and not on.converged and best.effects:
-        # Settings that were bent on the way to no fit may be where no function shows what it can do: those that go with
-        # the best names are looked from, too.
-        at = {q.name: best.values[q.name] for q in problem.nuisances}
-        linear = linearise(problem, at, (), naming.noise.covariance)
-        known = discrepancy.evidence_about(problem, naming, on, linear)
-        more = discrepancy.weigh(problem, naming, prepared, on, linear=linear, log_evidence=known)
-        laid = sorted([*laid, *((a, 1) for a in more)], key=lambda own: -own[0].log_evidence)
-
-    def key(own: tuple[Attached, int]) -> tuple[str, int]:
-        return own[0].attachment.name, own[1]
-
-    seen: set[tuple[str, int]] = set()
+    laid = {a.attachment.name: a for a in discrepancy.weigh(problem, naming, prepared, on)}
+    seen: set[str] = set()
     # What comes first has to be checked before anything rests on it.
-    while laid and (len(seen) < REFINED or key(laid[0]) not in seen):
-        first = laid[0][0].log_evidence
-        top = [own for own in laid if key(own) not in seen and own[0].log_evidence > first - CONCERN]
+    while laid:
+        order = sorted(laid, key=lambda n: -laid[n].log_evidence)
+        first = laid[order[0]].log_evidence
         # What explains no more than nothing does, or than names do, need not be known to a digit.
-        if not top or top[0][0].log_evidence < rival - CONCERN:
+        top = [n for n in order if n not in seen and laid[n].log_evidence > max(first, rival) - CONCERN]
+        if not top or (len(seen) >= REFINED and order[0] in seen):
             break
-        seen.add(key(top[0]))
-        again = discrepancy.refine(problem, naming, prepared, top[0][0], on, rival - verdict.NAMED_MARGIN)
-        laid = [(again, own[1]) if key(own) == key(top[0]) else own for own in laid]
-        laid.sort(key=lambda own: -own[0].log_evidence)
-    best_of: dict[str, Attached] = {}
-    for a, _ in laid:
-        best_of.setdefault(a.attachment.name, a)
-    return tuple(best_of.values())
+        seen.add(top[0])
+        worth = rival - verdict.NAMED_MARGIN
+        laid[top[0]] = discrepancy.refine(problem, naming, prepared, laid[top[0]], on, worth)
+    return tuple(sorted(laid.values(), key=lambda a: -a.log_evidence))
 
 
 def _apart(

@@ -15,7 +15,6 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
-from scipy.stats import chi2, norm
 
 from benchsim.diagnosis import settings
 from benchsim.diagnosis.fits import Effects, Fit, Naming
@@ -32,9 +31,6 @@ COST = 0.5 * CLOSE**2
 
 SURE, LIKELY = 0.99, 0.9
 """Probabilities at which an effect is named, and is probable."""
-
-AMISS = 10.0
-"""Shift of a size, in its sigma, that shows it to rest on another effect's being exactly 0."""
 
 MEMBERS = 4
 """Most members of a class."""
@@ -198,24 +194,6 @@ def weighed(naming: Naming, stated: bool) -> Weighed:
     return Weighed(found, frozenset([*done, *((*e, settings.NAME) for e in done if stated)]))
 
 
-def complete(hypotheses: Weighed, best: Effects, within: Space) -> Weighed:
-    """Put in what differs from a set by one effect, less or exchanged, where nobody weighed it.
-
-    Its ln Z is the set's, moved by the difference of the two in Gaussian integrals of the linearised problem. Needed
-    for sets of three and more: of those only the most probable were weighed.
-    """
-    z = dict(hypotheses.log_evidence)
-    order = [*within.index, settings.NAME]
-    known = {frozenset(h) for h in z}
-    for e in (e for e in best if e != settings.NAME):
-        rest = _less(best, frozenset([e]))
-        for new in (None, *(n for n in within.index if n not in best)):
-            effects = tuple(n for n in order if n in rest or n == new)
-            if frozenset(effects) not in known:
-                z[effects] = float(z[best] + _gaussian(within, effects) - _gaussian(within, best))
-    return replace(hypotheses, log_evidence=z)
-
-
 def _close(hypotheses: Weighed, best: Effects, other: Effects, signal: Array, within: Space) -> bool:
     """Whether the data cannot tell two hypotheses apart.
 
@@ -224,14 +202,6 @@ def _close(hypotheses: Weighed, best: Effects, other: Effects, signal: Array, wi
     if (settings.NAME in best) != (settings.NAME in other):
         return hypotheses.log_evidence[best] - hypotheses.log_evidence[other] < COST
     return separation(within, signal, other) < CLOSE
-
-
-def _gaussian(within: Space, effects: Effects) -> float:
-    places = within.places(effects)
-    sigma = within.sigma[places]
-    gram = within.gram[np.ix_(places, places)] * np.outer(sigma, sigma) + np.eye(len(places))
-    p = within.projection[places] * sigma
-    return float(0.5 * p @ np.linalg.solve(gram, p) - 0.5 * np.linalg.slogdet(gram)[1]) if len(places) else 0.0
 
 
 @dataclass(frozen=True)
@@ -288,38 +258,10 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
     together = {frozenset(n for part in parts for n in part) for parts in product(*([(e,), *swaps[e]] for e in best))}
     if all(frozenset(r) in together for r in rivals):
         classes = tuple(((e,), *swaps[e])[:MEMBERS] for e in best if swaps[e])
-        more = companion(best, within) if not classes else None
-        beside: tuple[tuple[Effects, ...], ...] = () if more is None else (((), (more,)),)
-        return Claim(best, tuple(e for e in best if not swaps[e]), (*classes, *beside), nearest)
+        return Claim(best, tuple(e for e in best if not swaps[e]), classes, nearest)
     common = mine.intersection(*rivals)
     members = tuple(_less(h, common) for h in (best, *rivals)[:MEMBERS])
     return Claim(best, tuple(e for e in best if e in common), (members,), nearest)
-
-
-def companion(best: Effects, within: Space) -> str | None:
-    """The effect on whose being exactly 0 a claimed size rests, though the data would rather have both; or None.
-
-    An effect that stays improbable for its prior, but is `CLOSE` or more away from 0 where it is fitted too and then
-    moves a claimed size by `AMISS` of its sigmas, leaves open whether it is there.
-    """
-    own = within.places(best)
-    alone = within.gram[np.ix_(own, own)] + np.diag(within.sigma[own] ** -2.0)
-    before = np.linalg.solve(alone, within.projection[own])
-    sigma = np.sqrt(np.diag(np.linalg.inv(alone)))
-    found: dict[str, float] = {}
-    for more, places in within.index.items():
-        if more in best or not len(places):
-            continue
-        both = np.concatenate([own, places])
-        inner = within.gram[np.ix_(both, both)] + np.diag(within.sigma[both] ** -2.0)
-        after = np.linalg.solve(inner, within.projection[both])
-        new = after[len(own) :]
-        away = float(new @ np.linalg.solve(np.linalg.inv(inner)[len(own) :, len(own) :], new))
-        chance = float(chi2.sf(away, len(places)))
-        inside = np.all((after >= within.low[both]) & (after <= within.high[both]))
-        if inside and chance < 2 * norm.sf(CLOSE) and np.any(np.abs(after[: len(own)] - before) > AMISS * sigma):
-            found[more] = chance
-    return min(found, key=lambda n: found[n]) if found else None
 
 
 def _less(effects: Effects, dropped: frozenset[str]) -> Effects:

@@ -315,11 +315,6 @@ def checked(problem: Problem, naming: Naming, laid: Attached, function: Array, o
     return replace(laid, log_evidence=laid.log_evidence - max(loss, 0.0))
 
 
-def evidence_about(problem: Problem, naming: Naming, on: Fit, linear: Linear) -> float:
-    """ln Z of a hypothesis without amplitudes about another point than its fit's, on the scale of the fits."""
-    return _offset(problem, naming, on) + _ground(problem, naming, linear).log_evidence
-
-
 def _offset(problem: Problem, naming: Naming, on: Fit) -> float:
     """Turns ln Z of a linearised hypothesis into that of the fits."""
     return on.log_evidence - _ground(problem, naming, on.linear).log_evidence

@@ -23,14 +23,6 @@ from benchsim.diagnosis.result import CONFIDENCES, Found, Location, Size
 
 NAMED_MARGIN, PROBABLE_MARGIN = 3.0, 0.0
 
-PATCH = 0.1
-"""Part of what the best function gains over the null that a name beside it has to add: less may make up for what a
-function of finite resolution, taken to first order, leaves of a large misfit."""
-
-NEEDED = 0.5
-"""Part of what a name gains by itself that it has to add to a function that gains more: what adds less explains what
-the function explains, only worse."""
-
 CERTAIN = CONFIDENCES[:2]
 
 LEFT = 0.05
@@ -90,9 +82,6 @@ class Findings:
         What the smooth modes leave under the best hypothesis.
     further : tuple of Further
         What a function, and what the smooth modes, could add to the best hypothesis.
-    together : bool
-        Whether the best hypothesis with the best function on it leaves nothing. A name that is only a patch on a
-        function which does not fit is not one.
     predicted, outdone : float or None
         Sigma by which the claim predicts left-out settings better than the simulation as stated, and by which the best
         function does better than the claim; None where there are too few settings to leave one out.
@@ -111,7 +100,6 @@ class Findings:
     more: tuple[Attached, ...]
     left: Remainder
     further: tuple[Further, ...] = ()
-    together: bool = True
     predicted: float | None = None
     outdone: float | None = None
     refuted: bool = False
@@ -119,16 +107,8 @@ class Findings:
 
     @property
     def margin(self) -> float:
-        """ln Z of the claim, with whatever function lies on it and then fits, over the best function alone."""
-        if not self.free:
-            return float("inf")
-        alone, function = self.log_evidence, self.free[0].log_evidence
-        joint = max([alone, *(a.log_evidence for a in self.more if self.together)])
-        patch = joint - function < PATCH * (function - self.null_log_evidence)
-        # Beside a function that gains more than the name does, the name is the patch, however much it adds.
-        patch = patch or joint - alone > alone - self.null_log_evidence
-        patch = patch or (function > alone and joint - function < NEEDED * (alone - self.null_log_evidence))
-        return (alone if patch else joint) - function
+        """ln Z of the claim over the best function alone."""
+        return self.log_evidence - self.free[0].log_evidence if self.free else float("inf")
 
     def lead(self, name: str) -> float:
         """ln Z of an effect of the claim over the best function, and over those in its place."""

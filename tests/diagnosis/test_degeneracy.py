@@ -175,26 +175,3 @@ def test_a_further_recording_counts_as_if_it_were_there():
     )
     expected = degeneracy.space(eight, full, 2.0).gram
     assert gram_with(seven, part, 2.0, more) == pytest.approx(expected, rel=1e-8, abs=1e-6)
-
-
-def test_a_size_that_rests_on_another_effects_absence_says_so():
-    """Two columns nearly alike: the data ask for both, at 4 sigma, and the first one's size would then be another."""
-    rng = np.random.default_rng(4)
-    base = rng.normal(size=400)
-    base /= np.linalg.norm(base)
-    other = rng.normal(size=400)
-    other -= base * (base @ other)
-    other /= np.linalg.norm(other)
-    columns = np.column_stack([100 * base, 100 * (0.995 * base + np.sqrt(1 - 0.995**2) * other), rng.normal(size=400)])
-
-    def within(truth):
-        data = columns @ truth
-        size = np.full(3, 2.0)
-        index = {"one": np.array([0]), "like": np.array([1]), "apart": np.array([2])}
-        return Space(columns.T @ columns, columns.T @ data, np.ones(3), -size, size, index)
-
-    both = np.array([0.6, 4.0 / (100 * np.sqrt(1 - 0.995**2)), 0.0])
-    assert degeneracy.companion(("one",), within(both)) == "like"
-    # Nothing of it is wanted, or what is wanted leaves the claimed size where it was.
-    assert degeneracy.companion(("one",), within(np.array([1.0, 0.0, 0.0]))) is None
-    assert degeneracy.companion(("one",), within(np.array([1.0, 0.0, 0.3]))) is None

@@ -11,7 +11,7 @@ from toy import toy
 
 from benchsim.diagnosis import discrepancy, naming
 from benchsim.diagnosis.discrepancy import kernel_root
-from benchsim.diagnosis.linear import linearise, nuisance_posterior, predict_all, whiten
+from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
 from benchsim.diagnosis.screen import PRESENCE
 
 SNR_ONE = {"bow": 1 / 89.6, "lean": 1 / 58.2, "creep": 1 / 6.11}
@@ -150,13 +150,3 @@ def test_what_a_function_promises_and_the_prediction_does_not_keep_is_taken_off(
     left = 0.5 * float(np.sum((seen - function) ** 2))
     assert left > 100
     assert kept.log_evidence == pytest.approx(first.log_evidence - left, rel=1e-6)
-
-
-def test_a_null_is_as_probable_about_any_point_where_all_is_linear():
-    problem = toy({}, 5)
-    found = naming.name(problem)
-    at = {p.name: 0.4 * p.sigma for p in problem.nuisances if "shift" not in p.name}
-    for point in (found.null.values, {**found.null.values, **at}):
-        linear = linearise(problem, point, (), found.noise.covariance)
-        same = discrepancy.evidence_about(problem, found, found.null, linear)
-        assert same == pytest.approx(found.null.log_evidence, abs=0.1)

@@ -90,25 +90,9 @@ def test_what_predicts_is_stated_whatever_its_name_is_worth():
     assert none == () and "bow" in notes[0]
 
 
-def test_a_name_with_a_function_on_top_is_compared_as_a_whole():
-    # The name alone loses to the function alone, but both together win: the name is needed, and more is missing.
-    both = findings(log_evidence=50.0, free=(70.0,), more=(100.0,))
-    assert both.stands and both.margin == pytest.approx(30)
-    # Adding less than half of what it gains by itself, it explains what the function explains, only worse.
-    overlap = findings(log_evidence=50.0, free=(70.0,), more=(90.0,))
-    assert not overlap.stands and verdict(overlap, HERE) == "located"
-
-
-def test_a_name_that_only_mends_a_function_is_not_said():
-    """A large misfit that a function takes away to a thousandth: a name that takes the rest may be its coarseness."""
-    patch = findings(log_evidence=50.0, free=(1000.0,), more=(1020.0,))
-    assert not patch.stands and verdict(patch, HERE) == "located"
-    assert replace(findings(log_evidence=50.0, free=(70.0,), more=(90.0,)), together=False).margin == pytest.approx(-20)
-
-
-def test_beside_a_function_that_outdoes_it_a_name_is_not_said():
+def test_a_function_that_gains_more_takes_a_names_place_however_much_both_gain():
     """A dent that an unknown height gains 2500 for is no plume, though a plume of gain 800 makes the height fit better:
-    the height's knots are coarse. A name that gains most of what both do stands."""
+    the height's knots are coarse."""
     dent = findings(log_evidence=800.0, free=(2500.0,), more=(3300.0,))
     assert not dent.stands and verdict(dent, HERE) == "located"
     assert found(PROBLEM, dent, fit(), sure(0.999), ("bow",), (1.0, 0.1))[0] == ()
