@@ -133,6 +133,24 @@ def test_a_bump_is_placed_where_it_is_whatever_is_beside_it(beside):
     assert fit.effects == (("lean", "bump") if beside else ("bump",)) and holds(fit, truth)
 
 
+def puffed(values, block):
+    at = (X - values.get("place", 0.0)) / values.get("width", 0.2)
+    return np.tile(values.get("a", 0.0) * at * np.exp(-0.5 * at**2), 2) + predict(values, block)
+
+
+@pytest.mark.parametrize("place", [-0.2, 0.2])
+@pytest.mark.parametrize("a", [-0.5, 0.5])
+def test_what_draws_light_to_its_place_is_found_though_beside_it_the_other_sign_looks_alike(place, a):
+    """Scenario: a warm puff half way between two places of the grid draws the line to it from either side. One of the
+    other sign, a place further, draws what lies between them the same way and looks better than what is there does at
+    either of its neighbours."""
+    grid = Parameter("place", "1", 1.0, grid=(-0.8, -0.4, 0.0, 0.4, 0.8))
+    puff = Effect("puff", "air", (Parameter("a", "1", 1.0), grid, Parameter("width", "1", 0.1, grid=(0.1, 0.3))))
+    truth = {"a": a, "place": place, "width": 0.2, "l": 0.6}
+    fit = best_of(problem(truth, (puff, LEAN), puffed))
+    assert fit.effects == ("puff", "lean") and holds(fit, truth)
+
+
 def aberrated(values, block):
     """An aberration that hangs on where the beam was set: cubic in a setting and the amplitude."""
     s, o = (values.get(f"{n}{block}", 0.0) for n in ("s", "o"))
