@@ -116,7 +116,7 @@ def _plume_terms(recording: Recording, own: tuple[Term, ...]) -> tuple[Term, ...
     """Places and widths of a plume on the way of this recording's light.
 
     Light crosses the plane half way midway between the mirror and the point of the board that it goes to. Nodes stand
-    some 80 mm apart, so that one lies within a plume's width of wherever it is.
+    80 mm apart, or as far as four by five of them have to: 80 mm throughout cost a clean recording 40 % more time.
     """
     from benchsim import rays
 
