@@ -86,12 +86,12 @@ def sampled(problem: Problem, found: Naming, fit: Fit, seed: int = 0) -> tuple[f
     held = sd < HELD
     draw = np.random.default_rng(seed).standard_normal((DRAWS, len(sd)))
     points = middle + (draw * np.where(held, 0.0, sd)) @ turn.T
-    back, pull = np.linalg.inv(turn), np.append(np.ones(p + k), np.zeros(len(h.shapes)))
+    pull = np.append(scale**-2.0, np.zeros(len(h.shapes)))
     for _ in range(FOLLOWED):
-        force = white(points) @ columns - pull * points / prior**2
+        force = white(points) @ columns - pull * points
         points = points + (force @ turn * np.where(held, sd**2, 0.0)) @ turn.T
     points = points + (draw * np.where(held, sd, 0.0)) @ turn.T
-    log_drawn = norm.logpdf(draw).sum(axis=1) - np.log(sd).sum() + np.linalg.slogdet(back)[1]
+    log_drawn = norm.logpdf(draw).sum(axis=1) - np.log(sd).sum() - np.linalg.slogdet(turn)[1]
     rest = points[:, : p + k] / scale
     log_prior = norm.logpdf(rest).sum(axis=1) - np.log(scale).sum() + sided.sum() * np.log(2.0)
     log_weight = log_prior - 0.5 * (white(points) ** 2).sum(axis=1) - log_drawn
