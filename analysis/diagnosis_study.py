@@ -56,7 +56,7 @@ from benchsim.trial.hashing import code
 
 ROWS = (
     "single", "pair", "fig7", "fig7-pair", "clean", "clean-noise", "clean-settings", "clean-correlated", "removed",
-    "stranger",
+    "stranger", "beside", "fig7-beside",
 )  # fmt: skip
 
 TRACES_ONLY = {
@@ -135,9 +135,11 @@ def limits_stated(d: Diagnosis, truth: draw.Truth) -> dict[str, bool]:
 
 def without(problem: Problem, row: str, truth: draw.Truth) -> Problem:
     """The problem as the judge of a row has it: of what was removed its catalogue knows nothing."""
-    if row != "removed":
+    removed = {"removed": 0, "beside": 1, "fig7-beside": 1}.get(row)
+    if removed is None:
         return problem
-    return replace(problem, catalogue=tuple(e for e in problem.catalogue if e.name not in truth.effects))
+    gone = tuple(truth.effects)[removed:]
+    return replace(problem, catalogue=tuple(e for e in problem.catalogue if e.name not in gone))
 
 
 def design(row: str) -> str:
@@ -145,8 +147,8 @@ def design(row: str) -> str:
     return "fig7" if row.startswith("fig7") else "six"
 
 
-def diagnosed(problem: Problem, truth: draw.Truth) -> tuple[Diagnosis, Part]:
-    """The verdict, and what of it the case's line holds."""
+def diagnosed(problem: Problem, truth: draw.Truth, sampled: bool) -> tuple[Diagnosis, Part]:
+    """The verdict, and what of it the case's line holds; the evidence is sampled where that is asked for."""
     start = time.process_time()
     found = diagnosis.name(problem)
     d = diagnosis.conclude(problem, found)
@@ -154,12 +156,13 @@ def diagnosed(problem: Problem, truth: draw.Truth) -> tuple[Diagnosis, Part]:
     line = {"parameter_pulls": pulls_of(d, truth), "limit_stated": limits_stated(d, truth), "cpu_s": spent}
     if truth.effects and {*truth.effects} <= {e.name for e in problem.catalogue}:
         line["truth_ahead"] = study_search.ahead(problem, found, truth.effects)
-    best = next((f for f in found.fits if f.converged), found.null)
-    line["evidence_off"] = study_search.sampled(problem, found, best)
+    if sampled:
+        best = next((f for f in found.fits if f.converged), found.null)
+        line["evidence_off"] = study_search.sampled(problem, found, best)
     return d, {**verdict_of(displacement.sized(problem, d)), **line}
 
 
-def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
+def traces_case(row: str, seed: int, case: int, fresh: int, sampled: bool) -> Iterator[Part]:
     """One case of the traces' tier; of every so many cases a fresh recording is diagnosed against what was put in."""
     rng = rng_of(seed, "traces", row, case)
     on = stage("traces", design(row), seed, case, 1)
@@ -175,7 +178,7 @@ def traces_case(row: str, seed: int, case: int, fresh: int) -> Iterator[Part]:
     lit = true or nominal
     at = {**draw.nuisances(nominal, truth, rng), **values}
     data = draw.noisy(nominal, predict_all(lit, at) - lit.data + nominal.data, truth, rng)
-    d, line = diagnosed(without(replace(nominal, data=data), row, truth), truth)
+    d, line = diagnosed(without(replace(nominal, data=data), row, truth), truth, sampled)
     yield line
     if fresh and case % fresh == fresh - 1:
         amended = amended_file.amended(recording, d)
@@ -200,7 +203,7 @@ def elsewhere(other: str, recording: Recording, folder: Path, seed: int) -> Reco
 
 
 def photographs_case(
-    row: str, seed: int, case: int, shrink: int, tier: str, other: str, snr: tuple[float, float] | None
+    row: str, seed: int, case: int, shrink: int, tier: str, other: str, snr: tuple[float, float] | None, sampled: bool
 ) -> Iterator[Part]:
     """One case of the photographs' tier, of those with a defect (`stress`), or of those by another program; how visible
     the truth is there is read from the pictures that are judged."""
@@ -245,18 +248,27 @@ def photographs_case(
         # Where nothing is concealed there is nothing to see, and the pictures' own need not be computed.
         sight = draw.Sight.of(seen) if truth.effects or truth.fields else on.sight
         yield draw.visible(truth, sight, values, true)
-        yield diagnosed(without(seen, row, truth), truth)[1]
+        yield diagnosed(without(seen, row, truth), truth, sampled)[1]
 
 
 def one(
-    row: str, seed: int, case: int, *, tier: str, shrink: int, fresh: int, other: str, snr: tuple[float, float] | None
+    row: str,
+    seed: int,
+    case: int,
+    *,
+    tier: str,
+    shrink: int,
+    fresh: int,
+    other: str,
+    snr: tuple[float, float] | None,
+    sampled: bool,
 ) -> dict[str, Any]:
     """A case and the code that judged it; where a complaint ended it, that and what was known by then."""
     line: dict[str, Any] = {"tier": tier, "row": row, "seed": seed, "case": case, "code": code()[:12]}
     parts = (
-        traces_case(row, seed, case, fresh)
+        traces_case(row, seed, case, fresh, sampled)
         if tier == "traces"
-        else photographs_case(row, seed, case, shrink, tier, other, snr)
+        else photographs_case(row, seed, case, shrink, tier, other, snr, sampled)
     )
     try:
         for part in parts:
@@ -328,6 +340,9 @@ def main() -> None:
         help="conceal only what has this SNR in pictures as benchsim would render them (default 6,60, or as near as "
         "the caps let it come; not traces)",
     )  # fmt: skip
+    go.add_argument(
+        "--sampled", action="store_true", help="hold the best fit's evidence against importance sampling, 10 s a case"
+    )
     show = sub.add_parser("table", help="print rates, confusion and reliability")
     show.add_argument("files", type=Path, nargs="+")
     args = parser.parse_args()
@@ -341,7 +356,8 @@ def main() -> None:
             parser.error("--other names the program that makes the pictures of the tier foreign, and of no other")
         if args.snr and args.tier == "traces":
             parser.error("--snr is of the tiers of photographs; leave it out for traces")
-        call = partial(one, tier=args.tier, shrink=args.shrink, fresh=args.fresh, other=args.other, snr=args.snr)
+        own = {k: getattr(args, k) for k in ("tier", "shrink", "fresh", "other", "snr", "sampled")}
+        call = partial(one, **own)
         run(call, rows, args.cases, args.seed, args.out / f"{args.tier}-{args.seed}.jsonl", args.workers)
         return
     tell(read(args.files))

@@ -78,7 +78,7 @@ class Truth:
     correlated: float = 0.0
 
 
-COUNT = {"single": 1, "fig7": 1, "removed": 1, "pair": 2, "fig7-pair": 2}
+COUNT = {"single": 1, "fig7": 1, "removed": 1, "pair": 2, "fig7-pair": 2, "beside": 2, "fig7-beside": 2}
 """Effects of the catalogue that a case of each row conceals; the other rows conceal none."""
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from benchsim.diagnosis import (
     cross_validation,
@@ -82,10 +83,17 @@ class Judged:
 def judge(problem: Problem, naming: Naming) -> Judged:
     """Let names and functions without a name compete, look for what is left, and apply the rules."""
     notes: list[str] = []
-    best = _best(problem, naming, notes)
+    alone = degeneracy.weighed(naming, problem.stated)
+    best = _best(problem, naming, alone, notes)
     prepared = discrepancy.prepare(problem, naming.noise.covariance)
     free = _weigh(problem, naming, prepared, naming.null, best.fit)
     more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
+    if more and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING and not problem.judged_forward:
+        # What has no name is there besides: which names are, is asked beside it.
+        notes = []
+        beside = _beside(problem, naming, prepared, {laid[0].attachment.name for laid in (free, more)})
+        best = _best(problem, naming, degeneracy.weighed(beside, problem.stated), notes)
+        more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
     modes = remainder.modes(problem, naming.linear, naming.noise.covariance)
     many = cross_validation.folds(problem, naming, degeneracy.about(naming.linear, best.fit))
     left_null = _left(problem, naming, naming.null, modes)
@@ -98,16 +106,14 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         more,
         left,
         _further(problem, naming, best, more, left_null, left),
-        apart=_apart(problem, naming, prepared, best),
+        apart=_apart(problem, naming, prepared, best, more),
     )
     if best.fit.effects and many:
         findings = _predicted(problem, naming, many, findings, best)
     place = None
     if findings.claim is not None or findings.something_left:
-        place = _place(problem, naming, best, findings, modes)
+        place = _place(problem, naming, alone, best, findings, modes)
     claimed = place is not None and place.claimed
-    if findings.stands and not claimed and any(f.matters and f.part > verdict.LEFT for f in findings.further):
-        findings = replace(findings, refuted=True)
     said = verdict.verdict(findings, place)
     on = naming.null
     lone: tuple[str, ...] = ()
@@ -267,9 +273,35 @@ def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...]
     return (tuple(listed),) if suspects else ()
 
 
-def _best(problem: Problem, naming: Naming, notes: list[str]) -> Best:
+def _beside(problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], names: set[str]) -> Naming:
+    """The hypotheses that were fitted, each with the evidence that it has with the best of some functions on it.
+
+    Where something without a name is left, sets that are compared without it are told apart by how much of it they
+    imitate: light that wanders in every exposure would be taken for a plume.
+    """
+    some = tuple(p for p in prepared if p.attachment.name in names)
+    fits = {f.effects: f for f in (naming.null, *naming.fits) if f.converged or not f.effects}
+    laid = {e: discrepancy.weigh(problem, naming, some, f)[0] for e, f in fits.items()}
+    checked: set[Effects] = set()
+    # What comes first has to be checked before anything rests on it, and what says less before more is said: its
+    # settings are further from where they belong beside a function.
+    while (first := max(laid, key=lambda e: laid[e].log_evidence)) not in checked:
+        for e in [e for e in laid if set(e) <= set(first) and e not in checked]:
+            checked.add(e)
+            laid[e] = discrepancy.refine(problem, naming, some, laid[e], fits[e])
+
+    def both(fit: Fit) -> Fit:
+        own = laid[fit.effects]
+        if not own.log_evidence > fit.log_evidence:
+            return fit
+        with_it = own.log_scales - logsumexp(own.log_scales) + own.log_evidence
+        return replace(fit, log_evidence=own.log_evidence, log_scales=with_it)
+
+    return replace(naming, null=both(fits[()]), fits=tuple(both(f) for f in fits.values()), screened=())
+
+
+def _best(problem: Problem, naming: Naming, weighed: Weighed, notes: list[str]) -> Best:
     """The most probable converged hypothesis, without the effects that are not likely."""
-    weighed = degeneracy.weighed(naming, problem.stated)
     z = weighed.log_evidence
     fits = {f.effects: f for f in naming.fits if f.converged and f.effects} | {(): naming.null}
     within = degeneracy.space(problem, naming.linear, naming.null.setting_scale)
@@ -321,11 +353,17 @@ def _weigh(
 
 
 def _apart(
-    problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], best: Best
+    problem: Problem,
+    naming: Naming,
+    prepared: tuple[discrepancy.Prepared, ...],
+    best: Best,
+    more: tuple[Attached, ...],
 ) -> dict[str, float]:
     """By how much each of several names beats, beside the others, the best function of another element in its place.
 
-    A function of its own element says no other thing than the name, only less."""
+    A function of its own element says no other thing than the name, only less. What is there besides them all
+    (``more``) is there in either case."""
+    have = max([best.fit.log_evidence, *(a.log_evidence for a in more[:1])])
     fits = {f.effects: f for f in naming.fits if f.converged}
     element = {e.name: e.element for e in problem.catalogue}
     out: dict[str, float] = {}
@@ -335,10 +373,10 @@ def _apart(
             continue
         other = tuple(p for p in prepared if p.attachment.element != element[e])
         laid = discrepancy.weigh(problem, naming, other, rest)
-        if laid and best.fit.log_evidence - laid[0].log_evidence < verdict.NAMED_MARGIN:
+        if laid and have - laid[0].log_evidence < verdict.NAMED_MARGIN:
             laid = _weigh(problem, naming, other, rest, best.fit)
         if laid:
-            out[e] = best.fit.log_evidence - laid[0].log_evidence
+            out[e] = have - laid[0].log_evidence
     return out
 
 
@@ -358,8 +396,11 @@ def _with(
     return with_it, remainder.remainder(with_it, modes, laid.scale, naming.noise.freedom)
 
 
-def _place(problem: Problem, naming: Naming, best: Best, findings: Findings, modes: remainder.Modes) -> Location | None:
-    """The element: of what is left if names stand and something is left, else of the whole misfit."""
+def _place(
+    problem: Problem, naming: Naming, alone: Weighed, best: Best, findings: Findings, modes: remainder.Modes
+) -> Location | None:
+    """The element: of what is left if names stand and something is left, else of the whole misfit, which a set of names
+    of one element explains ``alone`` or not."""
     covariance, on = naming.noise.covariance, best.fit if findings.stands else naming.null
     rest = findings.stands and findings.something_left
     base = on if rest else naming.null
@@ -375,7 +416,7 @@ def _place(problem: Problem, naming: Naming, best: Best, findings: Findings, mod
     if not rest:
         element = {e.name: e.element for e in problem.catalogue}
         fits = {f.effects: f for f in naming.fits if f.converged}
-        for effects, value in best.hypotheses.log_evidence.items():
+        for effects, value in alone.log_evidence.items():
             of = {element.get(e, settings.EFFECT.element) for e in effects}
             if len(of) != 1:
                 continue

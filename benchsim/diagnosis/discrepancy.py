@@ -49,6 +49,8 @@ class Attached:
     attachment : Attachment
     log_evidence : float
         ln Z of the hypothesis with it, on the scale of ``Fit.log_evidence``; -inf where the data do not see it.
+    log_scales : (m,)
+        The same at every setting scale of the grid, up to a constant.
     amplitude, length, scale : float
         Most probable rms, length and setting scale.
     coefficients : (K,)
@@ -61,6 +63,7 @@ class Attached:
 
     attachment: Attachment
     log_evidence: float
+    log_scales: Array
     amplitude: float
     length: float
     scale: float
@@ -347,7 +350,8 @@ def _one(prepared: Prepared, ground: _Ground) -> Attached:
     root = prepared.roots[of]
     mean = np.linalg.solve(np.eye(root.shape[1]) / rms[k] ** 2 + grams[i], projections[i])
     length, scale = attachment.lengths[of], float(ground.scale[j])
-    return Attached(attachment, total, float(rms[k]), length, scale, root @ mean, root * rms[k], ground.plain)
+    each = logsumexp(cells.reshape(len(prepared.roots), len(ground.scale), -1), axis=(0, 2))
+    return Attached(attachment, total, each, float(rms[k]), length, scale, root @ mean, root * rms[k], ground.plain)
 
 
 def _gains(grams: Sequence[Array], projections: Sequence[Array], rms: Array) -> Array:

@@ -23,6 +23,10 @@ from benchsim.diagnosis.result import CONFIDENCES, Found, Location, Size
 
 NAMED_MARGIN, PROBABLE_MARGIN = 3.0, 0.0
 
+PATCH = 0.4
+"""Part of what the best function gains over nothing that names have to add to it to count beside it: less may make up
+for what a function of finite resolution, taken to first order, leaves of a large misfit."""
+
 CERTAIN = CONFIDENCES[:2]
 
 LEFT = 0.05
@@ -85,9 +89,6 @@ class Findings:
     predicted, outdone : float or None
         Sigma by which the claim predicts left-out settings better than the simulation as stated, and by which the best
         function does better than the claim; None where there are too few settings to leave one out.
-    refuted : bool
-        Whether the names leave a part that they should have explained, and no element to which it can be put down, so
-        that they may stand for something else.
     apart : mapping of str to float
         By effect of a claim with several: ln Z of the claim over the best function of another element in that one's
         place.
@@ -102,13 +103,17 @@ class Findings:
     further: tuple[Further, ...] = ()
     predicted: float | None = None
     outdone: float | None = None
-    refuted: bool = False
     apart: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def margin(self) -> float:
-        """ln Z of the claim over the best function alone."""
-        return self.log_evidence - self.free[0].log_evidence if self.free else float("inf")
+        """ln Z of the claim, with a function on it where that is no patch on the function, over the best function."""
+        if not self.free:
+            return float("inf")
+        function = self.free[0].log_evidence
+        both = max((a.log_evidence for a in self.more[:1]), default=-np.inf) - function
+        patch = both < PATCH * (function - self.null_log_evidence)
+        return max(self.log_evidence - function, -np.inf if patch else both)
 
     def lead(self, name: str) -> float:
         """ln Z of an effect of the claim over the best function, and over those in its place."""
@@ -133,6 +138,11 @@ class Findings:
         """More is missing than what is claimed, and it matters."""
         return any(f.matters for f in self.further)
 
+    @property
+    def refuted(self) -> bool:
+        """The names leave something that matters, and settings left out are predicted no better with them."""
+        return self.something_left and self.predicted is not None and self.predicted <= 0
+
 
 def verdict(findings: Findings, location: Location | None) -> str:
     """One of `result.VERDICTS`."""
@@ -145,13 +155,10 @@ def verdict(findings: Findings, location: Location | None) -> str:
 
 def confidence(name: str, probability: float, findings: Findings) -> str | None:
     """ "named", "probable", "provisional", or None where it may not be said; of an effect without close rivals."""
-    margin, better = findings.lead(name), findings.predicted is not None and findings.predicted > 0
-    likely = probability >= LIKELY and margin >= PROBABLE_MARGIN
-    if likely and not findings.refuted:
+    margin = findings.lead(name)
+    if probability >= LIKELY and margin >= PROBABLE_MARGIN and not findings.refuted:
         return "named" if probability >= SURE and margin >= NAMED_MARGIN else "probable"
-    # What the data ask for, and what predicts better at all, is not taken back for what is left beside it: a defect
-    # that is anew in every setting makes folds scatter, so that 3 sigma are not to be had of an effect of twelve.
-    return "provisional" if findings.written or (likely and better) else None
+    return "provisional" if findings.written else None
 
 
 def found(

@@ -264,12 +264,12 @@ def test_each_tier_has_its_own_table(script, capsys):
 def test_what_was_known_before_an_error_stays_in_the_line(script, monkeypatch):
     study = script("diagnosis_study")
 
-    def ends(row, seed, number, fresh):
+    def ends(row, seed, number, fresh, sampled):
         yield {"snr": {"canting": 9.0}}
         raise ValueError("no")
 
     monkeypatch.setattr(study, "traces_case", ends)
-    made = study.one("single", 1, 0, tier="traces", shrink=1, fresh=0, other="", snr=None)
+    made = study.one("single", 1, 0, tier="traces", shrink=1, fresh=0, other="", snr=None, sampled=False)
     assert made["snr"] == {"canting": 9.0}
     assert made["error"] == "ValueError: no"
     assert "verdict" not in made

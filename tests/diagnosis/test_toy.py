@@ -84,6 +84,17 @@ def test_an_effect_without_a_name_is_located_and_a_smooth_one_gets_its_law():
     assert after < 0.055 < before
 
 
+def test_an_effect_beside_something_without_a_name_is_named_and_nothing_else_is():
+    """Scenario: a bow, and a lean that has no name and is twice as large. The catalogue's own lean takes up a part of
+    that; beside the function that explains it, it explains nothing. A quarter of the bows (7 of 30) are left unnamed,
+    since they add so little to what the function gains that they could be its patch: of ten, fewer than five would be
+    named in 2 % of runs.
+    """
+    said = [{f.name for f in diagnose(toy({"bow": 0.2, "warp": 0.3}, seed)).effects} for seed in range(620, 630)]
+    assert sum("bow" in names for names in said) >= 5
+    assert sum(bool(names - {"bow"}) for names in said) <= 1
+
+
 def test_what_can_only_be_taken_for_noise_is_not_named_but_said():
     # Neither a name nor a function reaches it: it counts as noise that neighbours share, and the notes say so.
     d = diagnose(toy({"warp": 0.3}, 9, attached=False))
@@ -146,7 +157,7 @@ def test_an_effect_in_whose_place_settings_could_be_further_off_is_left_open(lea
     """Scenario: a bow beyond doubt, and a creep that settings twice as far off as stated would explain as well. Which
     of the two it is the data cannot tell; the bow is named in either case.
     """
-    problem = toy({"bow": 0.2, "creep": 3.0}, 5)
+    problem = toy({"bow": 0.2, "creep": 3.0}, 5, attached=False)
     naming_ = naming.name(problem)
     both = next(f for f in naming_.fits if f.effects == ("bow", "creep"))
     within, far = np.where(naming_.setting_scales < 1.5, [[0.0], [-40.0]], [[-40.0], [0.0]])

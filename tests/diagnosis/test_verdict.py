@@ -23,7 +23,7 @@ PROBLEM = toy()
 
 def laid(log_evidence):
     empty = np.zeros(0)
-    return Attached(PROBLEM.attachments[0], log_evidence, 0.1, 0.3, 1.0, empty, empty[:, None], None)
+    return Attached(PROBLEM.attachments[0], log_evidence, empty, 0.1, 0.3, 1.0, empty, empty[:, None], None)
 
 
 def findings(log_evidence=50.0, free=(10.0,), more=(48.0,), classes=(), further=(), named=True, **also):
@@ -99,6 +99,14 @@ def test_a_function_that_gains_more_takes_a_names_place_however_much_both_gain()
     assert findings(log_evidence=2400.0, free=(1500.0,), more=(3300.0,)).stands
 
 
+def test_a_name_stands_beside_a_function_that_explains_something_else():
+    """A bow of gain 300 beside light that wanders, whose function gains 400 without the bow and the same beside it."""
+    beside = findings(log_evidence=300.0, free=(400.0,), more=(700.0,), further=[Further(400.0, 1.3, True)])
+    assert beside.stands and verdict(beside, HERE) == "located"
+    ((one,), _) = found(PROBLEM, beside, fit(), sure(0.999), ("bow",), (1.0, 0.1))
+    assert one.confidence == "named"
+
+
 @pytest.mark.parametrize(
     ("probability", "margin", "also", "said"),
     [
@@ -113,12 +121,11 @@ def test_a_function_that_gains_more_takes_a_names_place_however_much_both_gain()
         (0.999, 30.0, {"apart": {"bow": 2.9}}, "probable"),
         (0.999, 30.0, {"apart": {"bow": -0.1}}, None),
         (0.999, 30.0, {"apart": {"plume": -0.1}}, "named"),
-        (0.999, 30.0, {"refuted": True}, None),
-        (0.999, 30.0, {"refuted": True, "predicted": 9.0}, "provisional"),
-        # What it leaves doubts the name, not that something of it is there: it is kept where it predicts better at all.
-        (0.999, 30.0, {"refuted": True, "predicted": 1.0}, "provisional"),
-        (0.999, 30.0, {"refuted": True, "predicted": -1.0}, None),
-        (0.999, -0.1, {"refuted": True, "predicted": 1.0}, None),
+        # Whatever is left, a name stands that predicts what it was not fitted to.
+        (0.999, 30.0, {"further": (MUCH,)}, "named"),
+        (0.999, 30.0, {"further": (MUCH,), "predicted": 1.0}, "named"),
+        (0.999, 30.0, {"further": (MUCH,), "predicted": -1.0}, None),
+        (0.999, -0.1, {"further": (MUCH,), "predicted": 1.0}, None),
     ],
 )
 def test_thresholds(probability, margin, also, said):
