@@ -25,7 +25,8 @@ NAMED_MARGIN, PROBABLE_MARGIN = 3.0, 0.0
 
 PATCH = 0.4
 """Part of what the best function gains over nothing that names have to add to it to count beside it: less may make up
-for what a function of finite resolution, taken to first order, leaves of a large misfit."""
+for what a function of finite resolution, taken to first order, leaves of a large misfit. Of names beside something that
+has none it costs about a quarter; at 0.2 a ripple of 64 sigma had a plume in it."""
 
 CERTAIN = CONFIDENCES[:2]
 
