@@ -135,10 +135,8 @@ def limits_stated(d: Diagnosis, truth: draw.Truth) -> dict[str, bool]:
 
 def without(problem: Problem, row: str, truth: draw.Truth) -> Problem:
     """The problem as the judge of a row has it: of what was removed its catalogue knows nothing."""
-    removed = {"removed": 0, "beside": 1, "fig7-beside": 1}.get(row)
-    if removed is None:
-        return problem
-    gone = tuple(truth.effects)[removed:]
+    kept = {"removed": 0, "beside": 1, "fig7-beside": 1}.get(row, len(truth.effects))
+    gone = tuple(truth.effects)[kept:]
     return replace(problem, catalogue=tuple(e for e in problem.catalogue if e.name not in gone))
 
 

@@ -23,6 +23,9 @@ CATALOGUED = ("single", "pair", "fig7", "fig7-pair")
 OUTSIDE = ("removed", "stranger")
 """Rows of cases with something concealed: in the judge's catalogue, and not there."""
 
+BESIDE = ("beside", "fig7-beside")
+"""Rows of cases with two effects of which the judge's catalogue has the first."""
+
 STRETCHED = (settings.NAME,)
 """All that is named where only the settings are further off than stated."""
 
@@ -156,6 +159,7 @@ def table(cases: Iterable[Case]) -> str:
         lines.append(row(f"{title}: anything named{more}", group, alarm, bar, at_least=False))
         lines.append(row(f"{title}: 'nothing-missing'{or_so}", group, passed if far else quiet, 1 - bar))
     lines += outside([c for key in OUTSIDE for c in of.get(key, [])])
+    lines += beside([c for key in BESIDE for c in of.get(key, [])])
     lines.append(found(every))
     known = told(every)
     lines += sizes([x for c in known if exact(c) for x in c["parameter_pulls"]])
@@ -219,6 +223,24 @@ def stressed(cases: Sequence[Case]) -> str:
             row(f"{title}: a rest is stated with its size", mine, lambda c: bool(c["left"])),
         ]
     return "\n".join([*lines, found(cases)])
+
+
+def beside(cases: Sequence[Case]) -> list[str]:
+    """What is said of an effect beside one that the catalogue lacks."""
+
+    def first(case: Case) -> str:
+        return next(iter(case["truth"]["effects"]))
+
+    def seen(case: Case, effect: str) -> bool:
+        return bool(min(case["snr"][effect], case.get("refitted", case["snr"])[effect]) >= SEEN)
+
+    visible = [c for c in cases if "snr" in c and seen(c, first(c))]
+
+    def spoken(c: Case) -> bool:
+        return first(c) in {*c["named"], *(e for members in c["classes"] for m in members for e in m)}
+
+    wrong = row("beside one not in the catalogue: a name of neither", cases, lone_wrong, at_least=False)
+    return [row("beside one not in the catalogue, SNR ≥ 8: named or in a class", visible, spoken), wrong]
 
 
 def naming(name: str, group: Sequence[Case], bars: Sequence[tuple[float, float]]) -> list[str]:

@@ -105,6 +105,20 @@ def test_a_place_beside_a_wrong_name_is_no_merit(score):
     assert line(score.table(open_too), "location, SNR above 20: claimed")[0] == (0, 1)
 
 
+def test_beside_what_the_catalogue_lacks_the_first_effect_counts(score):
+    """Expectation: of four, one named, one in a class, one under another name, one too faint to be asked for."""
+    both = ("canting", "window")
+    cases = [
+        case(row="beside", number=0, truth=both, named=["canting"]),
+        case(row="beside", number=1, truth=both, classes=[[["canting"], ["coma"]]]),
+        case(row="fig7-beside", number=2, truth=both, named=["coma"]),
+        case(row="fig7-beside", number=3, truth=both, snr=5.0),
+    ]
+    text = score.table(cases)
+    assert line(text, "beside one not in the catalogue, SNR ≥ 8: named or in a class")[0] == (2, 3)
+    assert line(text, "beside one not in the catalogue: a name of neither")[0] == (1, 4)
+
+
 @pytest.mark.parametrize(
     ("verdict", "classes", "between", "below"),
     [
