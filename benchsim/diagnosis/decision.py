@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from benchsim.diagnosis import (
     cross_validation,
@@ -88,11 +87,17 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     prepared = discrepancy.prepare(problem, naming.noise.covariance)
     free = _weigh(problem, naming, prepared, naming.null, best.fit)
     more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
-    if more and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING and not problem.judged_forward:
+    beside = bool(more) and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING
+    if beside := beside and not problem.judged_forward:
         # What has no name is there besides: which names are, is asked beside it.
-        notes = []
-        beside = _beside(problem, naming, prepared, {laid[0].attachment.name for laid in (free, more)})
-        best = _best(problem, naming, degeneracy.weighed(beside, problem.stated), notes)
+        first, notes = best, []
+        functions = {laid[0].attachment.name for laid in (free, more)}
+        weighed = degeneracy.weighed(_beside(problem, naming, prepared, functions, first.fit), problem.stated)
+        best = _best(problem, naming, weighed, notes)
+        gone = [e for e in first.fit.effects if e not in best.fit.effects]
+        if gone:
+            notes.append(f"{' and '.join(gone)}: not said, since a function without a name explains it better.")
+        free = _weigh(problem, naming, prepared, naming.null, best.fit)
         more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
     modes = remainder.modes(problem, naming.linear, naming.noise.covariance)
     many = cross_validation.folds(problem, naming, degeneracy.about(naming.linear, best.fit))
@@ -106,7 +111,8 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         more,
         left,
         _further(problem, naming, best, more, left_null, left),
-        apart=_apart(problem, naming, prepared, best, more),
+        apart=_apart(problem, naming, prepared, best, more if beside else ()),
+        beside=beside,
     )
     if best.fit.effects and many:
         findings = _predicted(problem, naming, many, findings, best)
@@ -130,6 +136,9 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         opened = _doubted(problem, best.hypotheses)
         said = "class" if opened else said
     fitted = [e for e in lone if e != settings.NAME] if any(f is on for f in naming.fits) else []
+    if beside and on is best.fit and more[0].log_evidence > on.log_evidence:
+        # What is there besides has its part of the data, in the sizes too.
+        on = discrepancy.fitted_with(problem, naming, on, more[0])
     stated = widened(problem, naming.noise.covariance, on, fitted)
     scale = settings.size(naming.setting_scales, on.log_scales)
     found, more_notes = verdict.found(problem, findings, stated, best.hypotheses, lone, scale)
@@ -273,29 +282,47 @@ def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...]
     return (tuple(listed),) if suspects else ()
 
 
-def _beside(problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], names: set[str]) -> Naming:
+def _beside(
+    problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], names: set[str], first: Fit
+) -> Naming:
     """The hypotheses that were fitted, each with the evidence that it has with the best of some functions on it.
 
     Where something without a name is left, sets that are compared without it are told apart by how much of it they
-    imitate: light that wanders in every exposure would be taken for a plume.
+    imitate: light that wanders in every exposure would be taken for a plume. A function of a name's own element does
+    not take its place if the name alone does half of that or more: it says no other thing, only less. Then it does not
+    count on sets that lack such a name of those that come ``first`` without functions.
     """
     some = tuple(p for p in prepared if p.attachment.name in names)
     fits = {f.effects: f for f in (naming.null, *naming.fits) if f.converged or not f.effects}
-    laid = {e: discrepancy.weigh(problem, naming, some, f)[0] for e, f in fits.items()}
+    element = {e.name: e.element for e in problem.catalogue}
+    laid: dict[tuple[Effects, str], Attached] = {}
+    for effects, fit in fits.items():
+        laid |= {(effects, a.attachment.name): a for a in discrepancy.weigh(problem, naming, some, fit)}
+
+    def counted(effects: Effects) -> Attached | None:
+        lacks = {element[e] for e in first.effects if e not in effects}
+        alone = fits[effects].log_evidence
+        half = alone + 2 * (first.log_evidence - alone)
+        own = [a for (e, _), a in laid.items() if e == effects and a.log_evidence > alone]
+        own = [a for a in own if a.attachment.element not in lacks or a.log_evidence > half]
+        return max(own, key=lambda a: a.log_evidence, default=None)
+
+    def best(effects: Effects) -> float:
+        on = counted(effects)
+        return fits[effects].log_evidence if on is None else on.log_evidence
+
     checked: set[Effects] = set()
-    # What comes first has to be checked before anything rests on it, and what says less before more is said: its
-    # settings are further from where they belong beside a function.
-    while (first := max(laid, key=lambda e: laid[e].log_evidence)) not in checked:
-        for e in [e for e in laid if set(e) <= set(first) and e not in checked]:
-            checked.add(e)
-            laid[e] = discrepancy.refine(problem, naming, some, laid[e], fits[e])
+    # What comes first has to be checked before anything rests on it, with what could stand in its place, and what says
+    # less before more is said: its settings are further from where they belong beside a function.
+    while (top := max(fits, key=best)) not in checked:
+        near = [e for e in fits if (set(e) <= set(top) or best(top) - best(e) < degeneracy.COST) and e not in checked]
+        for key in [key for key in laid if key[0] in near]:
+            laid[key] = discrepancy.refine(problem, naming, some, laid[key], fits[key[0]])
+        checked.update(near)
 
     def both(fit: Fit) -> Fit:
-        own = laid[fit.effects]
-        if not own.log_evidence > fit.log_evidence:
-            return fit
-        with_it = own.log_scales - logsumexp(own.log_scales) + own.log_evidence
-        return replace(fit, log_evidence=own.log_evidence, log_scales=with_it)
+        on = counted(fit.effects)
+        return fit if on is None else discrepancy.weighed_with(fit, on)
 
     return replace(naming, null=both(fits[()]), fits=tuple(both(f) for f in fits.values()), screened=())
 
@@ -363,7 +390,7 @@ def _apart(
 
     A function of its own element says no other thing than the name, only less. What is there besides them all
     (``more``) is there in either case."""
-    have = max([best.fit.log_evidence, *(a.log_evidence for a in more[:1])])
+    alone, both = best.fit.log_evidence, max((a.log_evidence for a in more[:1]), default=-np.inf)
     fits = {f.effects: f for f in naming.fits if f.converged}
     element = {e.name: e.element for e in problem.catalogue}
     out: dict[str, float] = {}
@@ -373,10 +400,10 @@ def _apart(
             continue
         other = tuple(p for p in prepared if p.attachment.element != element[e])
         laid = discrepancy.weigh(problem, naming, other, rest)
-        if laid and have - laid[0].log_evidence < verdict.NAMED_MARGIN:
+        if laid and max(alone, both) - laid[0].log_evidence < verdict.NAMED_MARGIN:
             laid = _weigh(problem, naming, other, rest, best.fit)
         if laid:
-            out[e] = have - laid[0].log_evidence
+            out[e] = verdict.lead(alone, both, laid[0].log_evidence, rest.log_evidence)
     return out
 
 

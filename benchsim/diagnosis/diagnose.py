@@ -238,10 +238,9 @@ def _remarks(problem: Problem, naming: Naming, findings: Findings) -> list[str]:
     if len(set(problem.groups)) < cross_validation.FEWEST:
         out.append("Fewer than three settings: none can be left out to test the prediction.")
     if findings.claim is not None and findings.refuted:
-        part = 100 * min(max(f.part for f in findings.further if f.matters), 1.0)
         out.append(
-            f"{' + '.join(findings.claim.best)} leaves {part:.0f} % of what it removes, and settings left out are "
-            "predicted no better with it: it may stand for something else."
+            f"{' + '.join(findings.claim.best)} leaves more than noise, and settings left out are predicted no better "
+            "with it: it may stand for something else."
         )
     elif findings.claim is not None and not findings.stands:
         of = findings.free[0].attachment

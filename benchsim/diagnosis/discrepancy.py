@@ -25,7 +25,7 @@ from scipy.linalg.lapack import dsytrd
 from scipy.special import logsumexp
 
 from benchsim.diagnosis.fits import Fit, Naming
-from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, precision, predict_all, whiten
+from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, precision, predict_all, value_of, whiten
 from benchsim.diagnosis.problem import Attachment, Parameter, Problem
 from benchsim.diagnosis.screen import PRESENCE
 
@@ -316,6 +316,34 @@ def checked(problem: Problem, naming: Naming, laid: Attached, function: Array, o
     loss = 0.5 * float(np.sum((seen - function) ** 2) - np.sum((promised - function) ** 2))
     loss = loss if np.isfinite(loss) else np.inf
     return replace(laid, log_evidence=laid.log_evidence - max(loss, 0.0))
+
+
+def weighed_with(fit: Fit, laid: Attached) -> Fit:
+    """A hypothesis with the evidence, at every setting scale too, that it has with a function on it."""
+    scales = laid.log_scales - logsumexp(laid.log_scales) + laid.log_evidence
+    return replace(fit, log_evidence=laid.log_evidence, log_scales=scales, setting_scale=laid.scale)
+
+
+def fitted_with(problem: Problem, naming: Naming, fit: Fit, laid: Attached) -> Fit:
+    """A hypothesis with the nuisances and amplitudes that it has with a function on it; places and other shapes stand.
+
+    The function's rms and length stand too; the prediction is linearised anew where the last step ended."""
+    white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
+    own = amplitudes(problem, laid.linear.names)
+    values, sigma, linear = dict(fit.values), dict(fit.sigma), laid.linear
+    for _ in range(_ROUNDS):
+        both = with_columns(absorb(problem, linear), white @ laid.root)
+        mean, covariance = nuisance_posterior(both, both.residual, laid.scale)
+        deviation = np.sqrt(np.diag(covariance))
+        for p, x, s in zip(problem.nuisances, mean, deviation, strict=False):
+            values[p.name], sigma[p.name] = float(x * p.sigma), float(s * p.sigma)
+        for k, p in enumerate(own, len(problem.nuisances)):
+            unit = p.sigma**p.power
+            values[p.name] = value_of(p, max(mean[k] * unit, 0.0) if p.one_sided else float(mean[k] * unit))
+            slope = p.power * abs(values[p.name]) ** (p.power - 1)
+            sigma[p.name] = float(deviation[k]) * unit / slope if slope else sigma[p.name]
+        linear = linearise(problem, values, own, naming.noise.covariance)
+    return replace(weighed_with(fit, laid), values=values, sigma=sigma, log_evidence=fit.log_evidence)
 
 
 def _offset(problem: Problem, naming: Naming, on: Fit) -> float:

@@ -1,8 +1,9 @@
 """The rules: what may be claimed of what was weighed, and in which words.
 
-All margins are differences of ln Z. An effect is *named* at P ≥ 0.99, 3 above the best attachment and 3 sigma from
-every rival; *probable* at P ≥ 0.9 with a margin of at least 0; *provisional* where it is in the model that predicts
-best, though its name is not certain. The verdict speaks of what is left beside them, and takes nothing back.
+All margins are differences of ln Z. An effect is *named* at P ≥ 0.99, 3 above the best attachment (where something is
+left beside it: with an attachment on it) and 3 sigma from every rival; *probable* at P ≥ 0.9 with a margin of at least
+0; *provisional* where it is in the model that predicts best, though its name is not certain. The verdict speaks of what
+is left beside them, and takes nothing back.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ CERTAIN = CONFIDENCES[:2]
 
 LEFT = 0.05
 """Part of what the names removed that may be left without changing the verdict: a name that stands for nearly all may
-be right beside a model that is not perfect. Of ten cases of the study in which names left more, seven named wrongly."""
+be right beside a model that is not perfect."""
 
 MISSING = float(np.log(SURE / (1 - SURE)))
 """Δ ln Z at which something shows that something is missing."""
@@ -93,6 +94,8 @@ class Findings:
     apart : mapping of str to float
         By effect of a claim with several: ln Z of the claim over the best function of another element in that one's
         place.
+    beside : bool
+        Whether names were compared with functions on them, so that what a function adds to a claim counts.
     """
 
     null_log_evidence: float
@@ -105,16 +108,15 @@ class Findings:
     predicted: float | None = None
     outdone: float | None = None
     apart: Mapping[str, float] = field(default_factory=dict)
+    beside: bool = False
 
     @property
     def margin(self) -> float:
-        """ln Z of the claim, with a function on it where that is no patch on the function, over the best function."""
+        """`lead` of the claim over the best function alone."""
         if not self.free:
             return float("inf")
-        function = self.free[0].log_evidence
-        both = max((a.log_evidence for a in self.more[:1]), default=-np.inf) - function
-        patch = both < PATCH * (function - self.null_log_evidence)
-        return max(self.log_evidence - function, -np.inf if patch else both)
+        both = max((a.log_evidence for a in self.more[:1] if self.beside), default=-np.inf)
+        return lead(self.log_evidence, both, self.free[0].log_evidence, self.null_log_evidence)
 
     def lead(self, name: str) -> float:
         """ln Z of an effect of the claim over the best function, and over those in its place."""
@@ -124,7 +126,7 @@ class Findings:
     def stands(self) -> bool:
         """The names explain the data at least as well as the best function: by ln Z, or on settings left out, where a
         function has to do better by more than chance."""
-        if self.claim is None:
+        if self.claim is None or self.refuted:
             return False
         doubted = self.outdone is None or self.outdone >= BETTER
         return self.margin >= PROBABLE_MARGIN or not doubted
@@ -143,6 +145,20 @@ class Findings:
     def refuted(self) -> bool:
         """The names leave something that matters, and settings left out are predicted no better with them."""
         return self.something_left and self.predicted is not None and self.predicted <= 0
+
+
+def lead(names: float, both: float, function: float, nothing: float) -> float:
+    """ln Z of names over a function in their place; with a function on them where they are no `PATCH` on it.
+
+    Parameters
+    ----------
+    names, both : float
+        ln Z of what holds the names, without a function and with one.
+    function, nothing : float
+        Of the same without the names, with a function and without.
+    """
+    patch = both - function < PATCH * (function - nothing)
+    return max(names - function, -np.inf if patch else both - function)
 
 
 def verdict(findings: Findings, location: Location | None) -> str:
@@ -190,7 +206,9 @@ def found(
         said = confidence(name, probability, findings)
         if said is None:
             outdone = findings.lead(name) < PROBABLE_MARGIN
-            but = " among the catalogue's effects; functions without a name explain more" if outdone else ""
+            but = (
+                " among the catalogue's effects; beside a function without a name it adds too little" if outdone else ""
+            )
             notes.append(f"{name} is suspected, at a probability of {probability:.2f}{but}.")
             continue
         effect = known[name]

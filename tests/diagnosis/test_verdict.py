@@ -101,7 +101,7 @@ def test_a_function_that_gains_more_takes_a_names_place_however_much_both_gain()
 
 def test_a_name_stands_beside_a_function_that_explains_something_else():
     """A bow of gain 300 beside light that wanders, whose function gains 400 without the bow and the same beside it."""
-    beside = findings(log_evidence=300.0, free=(400.0,), more=(700.0,), further=[Further(400.0, 1.3, True)])
+    beside = findings(log_evidence=300.0, free=(400.0,), more=(700.0,), further=[LOUD], beside=True)
     assert beside.stands and verdict(beside, HERE) == "located"
     ((one,), _) = found(PROBLEM, beside, fit(), sure(0.999), ("bow",), (1.0, 0.1))
     assert one.confidence == "named"
