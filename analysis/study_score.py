@@ -210,6 +210,11 @@ def stressed(cases: Sequence[Case]) -> str:
         spoken = {x for members in case["classes"] for m in members for x in m} | set(case["named"])
         return set(case["truth"]["effects"]) <= spoken
 
+    def like_wander(case: Case) -> bool:
+        """Of the centre line, in mm."""
+        true = case["stress"]["rms_mm"]
+        return any(family == "c" and true / 2 <= mm <= 2 * true for family, _, _, mm in case["left"])
+
     lines = []
     for kind in [*dict.fromkeys(c["stress"]["stress"] for c in cases if "stress" in c), ""]:
         mine = [c for c in cases if kind in ("", c.get("stress", {}).get("stress"))]
@@ -222,6 +227,8 @@ def stressed(cases: Sequence[Case]) -> str:
             row(f"{title}: clean, anything named", clean, lambda c: bool(c["named"])),
             row(f"{title}: a rest is stated with its size", mine, lambda c: bool(c["left"])),
         ]
+        if kind == "wander":
+            lines.append(row(f"{title}: that size is within a factor of two of what was put in", mine, like_wander))
     return "\n".join([*lines, found(cases)])
 
 

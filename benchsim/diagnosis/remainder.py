@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
 from benchsim.diagnosis.discrepancy import smooth_functions
-from benchsim.diagnosis.linear import Linear, marginal, whiten
+from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, whiten
 from benchsim.diagnosis.problem import Problem
 
 Array = NDArray[np.float64]
@@ -49,7 +49,8 @@ class Family:
     p : float
         Probability of as much by chance, in these or in all of its modes; the number of families not counted.
     rms : float
-        Of what they show in the data, less what chance would, in the data's unit; nan for pulls.
+        Of what they show in the data beside what settings do, less what chance would, in the data's unit; nan for
+        pulls.
     """
 
     statistic: float
@@ -190,7 +191,9 @@ def remainder(
         if lower and kind is not None and (kind == name).any() and statistic > rank:
             best = int(np.argmin(chances))
             total, k = sums[best]
-            shown = columns @ (vectors[:, :k] @ (y[:k] / values[:k]))
+            mode = columns @ (vectors[:, :k] @ (y[:k] / values[:k]))
+            # Most of a mode that settings nearly hide is theirs: what of it they cannot do is what the data show.
+            shown = mode - linear.nuisance @ nuisance_posterior(linear, mode, scale)[0]
             raw = np.concatenate([low @ shown[linear.block == b] for b, low in enumerate(lower)])
             rms = float(np.sqrt(np.mean(raw[kind == name] ** 2) * max(0.0, 1 - k / total)))
         found[name] = Family(statistic, rank, float(min(1.0, len(sums) * min(chances))), rms)
