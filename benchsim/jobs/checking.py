@@ -123,9 +123,10 @@ def _keys(path: Path) -> list[Finding]:
 
 
 def _split(message: str) -> tuple[str, str]:
-    """ "file: key: what" as ("key", "what"); a message without a key keeps its file."""
-    parts = message.split(": ", 2)
-    return (parts[1], parts[2]) if len(parts) == 3 else (parts[0], ": ".join(parts[1:]))
+    """Of a complaint of the recording's own file, the key and what of it; of another's, its name and the rest."""
+    file, _, rest = message.partition(": ")
+    key, found, what = rest.partition(": ")
+    return (key, what) if found and file.endswith(".toml") else (file, rest)
 
 
 def _files(file: Path, progress: Progress) -> list[Finding]:

@@ -89,6 +89,14 @@ def test_a_damaged_picture_does_not_hide_the_rest(recording):
     assert found.where == "001.png" and "truncated" in found.says
 
 
+def test_a_slip_in_the_marks_names_their_file(recording):
+    marks = recording / "marks.csv"
+    lines = marks.read_text().splitlines()
+    marks.write_text("\n".join([*lines[:2], "a,b,c", *lines[3:]]) + "\n")
+    (finding,) = amiss(jobs.check(recording))
+    assert finding.where == "marks.csv" and finding.says.startswith("line 3: 'a,b,c' is not id")
+
+
 def test_no_recording_at_all(tmp_path):
     with pytest.raises(BenchsimError, match=r"no recording\.toml"):
         jobs.check(tmp_path)
