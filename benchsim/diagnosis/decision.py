@@ -295,9 +295,12 @@ def _beside(
     some = tuple(p for p in prepared if p.attachment.name in names)
     fits = {f.effects: f for f in (naming.null, *naming.fits) if f.converged or not f.effects}
     element = {e.name: e.element for e in problem.catalogue}
+    # Of a hundred sets the roots would be a gigabyte.
+    nothing = np.zeros((0, 0))
     laid: dict[tuple[Effects, str], Attached] = {}
     for effects, fit in fits.items():
-        laid |= {(effects, a.attachment.name): a for a in discrepancy.weigh(problem, naming, some, fit)}
+        for a in discrepancy.weigh(problem, naming, some, fit):
+            laid[effects, a.attachment.name] = replace(a, root=nothing)
 
     def counted(effects: Effects) -> Attached | None:
         lacks = {element[e] for e in first.effects if e not in effects}
@@ -317,7 +320,7 @@ def _beside(
     while (top := max(fits, key=best)) not in checked:
         near = [e for e in fits if (set(e) <= set(top) or best(top) - best(e) < degeneracy.COST) and e not in checked]
         for key in [key for key in laid if key[0] in near]:
-            laid[key] = discrepancy.refine(problem, naming, some, laid[key], fits[key[0]])
+            laid[key] = replace(discrepancy.refine(problem, naming, some, laid[key], fits[key[0]]), root=nothing)
         checked.update(near)
 
     def both(fit: Fit) -> Fit:
