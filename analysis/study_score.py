@@ -61,6 +61,11 @@ def lone_wrong(case: Case) -> bool:
     return bool(set(case["named"]) - set(case["truth"]["effects"]))
 
 
+def spoken(case: Case) -> set[str]:
+    """All that is named or in a class."""
+    return {e for members in case["classes"] for m in members for e in m} | set(case["named"])
+
+
 def said(case: Case, beside: Sequence[str] = ()) -> bool:
     """Anything is named beside some that may be, or a class of names is given."""
     return bool(set(case["named"]) - set(beside) or case["classes"])
@@ -207,8 +212,7 @@ def stressed(cases: Sequence[Case]) -> str:
 
     def among(case: Case) -> bool:
         """All that is concealed is named or in a class."""
-        spoken = {x for members in case["classes"] for m in members for x in m} | set(case["named"])
-        return set(case["truth"]["effects"]) <= spoken
+        return set(case["truth"]["effects"]) <= spoken(case)
 
     def like_wander(case: Case) -> bool:
         """Of the centre line, in mm."""
@@ -241,13 +245,12 @@ def beside(cases: Sequence[Case]) -> list[str]:
     def seen(case: Case, effect: str) -> bool:
         return bool(min(case["snr"][effect], case.get("refitted", case["snr"])[effect]) >= SEEN)
 
+    def among(case: Case) -> bool:
+        return first(case) in spoken(case)
+
     visible = [c for c in cases if "snr" in c and seen(c, first(c))]
-
-    def spoken(c: Case) -> bool:
-        return first(c) in {*c["named"], *(e for members in c["classes"] for m in members for e in m)}
-
     wrong = row("beside one not in the catalogue: a name of neither", cases, lone_wrong, at_least=False)
-    return [row("beside one not in the catalogue, SNR ≥ 8: named or in a class", visible, spoken), wrong]
+    return [row("beside one not in the catalogue, SNR ≥ 8: named or in a class", visible, among), wrong]
 
 
 def naming(name: str, group: Sequence[Case], bars: Sequence[tuple[float, float]]) -> list[str]:

@@ -87,8 +87,9 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     prepared = discrepancy.prepare(problem, naming.noise.covariance)
     free = _weigh(problem, naming, prepared, naming.null, best.fit)
     more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
-    beside = bool(more) and more[0].log_evidence - best.fit.log_evidence > verdict.MISSING
-    if beside := beside and not problem.judged_forward:
+    gain = more[0].log_evidence - best.fit.log_evidence if more else 0.0
+    beside = gain > verdict.MISSING and not problem.judged_forward
+    if beside:
         # What has no name is there besides: which names are, is asked beside it.
         first, notes = best, []
         functions = {laid[0].attachment.name for laid in (free, more)}

@@ -331,7 +331,9 @@ def fitted_with(problem: Problem, naming: Naming, fit: Fit, laid: Attached) -> F
     white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
     own = amplitudes(problem, laid.linear.names)
     values, sigma, linear = dict(fit.values), dict(fit.sigma), laid.linear
-    for _ in range(_ROUNDS):
+    for again in range(_ROUNDS):
+        if again:
+            linear = linearise(problem, values, own, naming.noise.covariance)
         both = with_columns(absorb(problem, linear), white @ laid.root)
         mean, covariance = nuisance_posterior(both, both.residual, laid.scale)
         deviation = np.sqrt(np.diag(covariance))
@@ -342,7 +344,6 @@ def fitted_with(problem: Problem, naming: Naming, fit: Fit, laid: Attached) -> F
             values[p.name] = value_of(p, max(mean[k] * unit, 0.0) if p.one_sided else float(mean[k] * unit))
             slope = p.power * abs(values[p.name]) ** (p.power - 1)
             sigma[p.name] = float(deviation[k]) * unit / slope if slope else sigma[p.name]
-        linear = linearise(problem, values, own, naming.noise.covariance)
     return replace(weighed_with(fit, laid), values=values, sigma=sigma, log_evidence=fit.log_evidence)
 
 
