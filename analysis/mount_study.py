@@ -2,6 +2,7 @@
 
     python analysis/mount_study.py run --cases 60 --seed 1 --out out/mounts
     python analysis/mount_study.py table out/mounts/*.jsonl
+    python analysis/mount_study.py time --records 8,30,100,300,1000 --seed 1
 
 The truth is put into the records themselves (spots where the beam meets the target, stars where the tube points), with
 noise, drift, zeros of the encoders and survey errors; judged is what `benchsim diagnose` judges, outlying records and
@@ -61,10 +62,13 @@ def rng_of(seed: int, row: str, case: int) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(row.encode()), case])
 
 
-def scene(rng: np.random.Generator) -> Scene:
-    """A telescope, an az-el heliostat, or a heliostat with linear actuators."""
+def scene(rng: np.random.Generator, count: int | None = None) -> Scene:
+    """A telescope or a heliostat, az-el or with linear actuators; with so many records, or as many as usual."""
     kind = str(rng.choice(["telescope", "heliostat", "actuators"]))
-    session = telescope(rng) if kind == "telescope" else heliostat(rng, kind == "actuators")
+    if kind == "telescope":
+        session = telescope(rng, count or int(rng.integers(30, 81)))
+    else:
+        session = heliostat(rng, kind == "actuators", count or int(rng.integers(12, 41)))
     sigma = float(np.exp(rng.uniform(np.log(0.3), np.log(2.0))))
     catalogue = effects.candidates(session.mount, session.records)
     predict = mount_problem.predicted(session, catalogue)
@@ -72,9 +76,8 @@ def scene(rng: np.random.Generator) -> Scene:
     return Scene(session, sigma, posing.problem_of(replace(predict, drift=drift), catalogue, sigma))
 
 
-def telescope(rng: np.random.Generator) -> Session:
+def telescope(rng: np.random.Generator, n: int) -> Session:
     """Stars all over the sky in an order that jumps about."""
-    n = int(rng.integers(30, 81))
     azimuth = rng.uniform(0, 2 * np.pi, n)
     elevation = np.arcsin(rng.uniform(np.sin(np.radians(18)), np.sin(np.radians(84)), n))
     reading = np.column_stack([azimuth, elevation])
@@ -89,9 +92,8 @@ def telescope(rng: np.random.Generator) -> Session:
     return Session("telescope", Path("telescope"), (), Mount("az-el", "sky", latitude=latitude), records)
 
 
-def heliostat(rng: np.random.Generator, driven: bool) -> Session:
+def heliostat(rng: np.random.Generator, driven: bool, n: int) -> Session:
     """Records of a year at all hours, on one to three targets of a tower to the south."""
-    n = int(rng.integers(12, 41))
     latitude = float(np.radians(rng.uniform(30, 52)))
     position = np.array([rng.uniform(-60e3, 60e3), rng.uniform(30e3, 160e3), rng.uniform(0, 3e3)])
     count = int(rng.integers(1, 4))
@@ -115,7 +117,7 @@ def heliostat(rng: np.random.Generator, driven: bool) -> Session:
         found = aimed(mount, sun, centres[k], begin)
         if found is None:
             if driven and rng.uniform() < 0.02:
-                return heliostat(rng, driven)  # this place cannot be served by these actuators
+                return heliostat(rng, driven, n)  # this place cannot be served by these actuators
             continue
         reading.append(np.round(found) if driven else found)
         source.append(sun)
@@ -195,9 +197,9 @@ def one(row: str, seed: int, case: int) -> dict[str, Any]:
         return {"row": row, "seed": seed, "case": case, "error": f"{type(error).__name__}: {error}"}
 
 
-def _case(row: str, seed: int, case: int) -> dict[str, Any]:
+def _case(row: str, seed: int, case: int, count: int | None = None) -> dict[str, Any]:
     rng = rng_of(seed, row, case)
-    on = scene(rng)
+    on = scene(rng, count)
     s, problem = on.session, on.problem
     mount, n = s.mount, len(s.records.names)
     unit = UNITS[mount.unit]
@@ -285,11 +287,26 @@ def main() -> None:
     go.add_argument("--seed", type=int, required=True)
     go.add_argument("--out", type=Path, default=Path("out/mounts"))
     go.add_argument("--workers", type=int, default=2)
+    clock = sub.add_parser("time", help="print CPU seconds against the number of records")
+    clock.add_argument("--records", default="8,30,100,300,1000")
+    clock.add_argument("--rows", default="clean,single,pair")
+    clock.add_argument("--cases", type=int, default=2, help="per row and number of records")
+    clock.add_argument("--seed", type=int, required=True)
     show = sub.add_parser("table", help="print rates, confusion and reliability")
     show.add_argument("files", type=Path, nargs="+")
     args = parser.parse_args()
     if args.command == "run":
         run(one, args.rows.split(","), args.cases, args.seed, args.out / f"mounts-{args.seed}.jsonl", args.workers)
+        return
+    if args.command == "time":
+        for n in (int(x) for x in args.records.split(",")):
+            for row in args.rows.split(","):
+                done = [_case(row, args.seed, k, n) for k in range(args.cases)]
+                print(
+                    f"{n:5d} records, {row:8s}",
+                    *(f"{c['mount']} {c['cpu_s']:.1f} s {c['verdict']}" for c in done),
+                    sep="   ",
+                )
         return
     cases = read(args.files)
     tell(cases, outliers(cases))

@@ -21,7 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dsytrd
+from scipy.linalg.lapack import dpstrf, dsytrd
+from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
 from benchsim.diagnosis.fits import Fit, Naming
@@ -135,13 +136,16 @@ def whitened(
 
 
 def kernel_root(attachment: Attachment, length: float, tolerance: float = 1e-7) -> Array:
-    """L with L Lᵀ = R(ℓ), (K, m); directions of variance below ``tolerance`` of the largest are dropped."""
-    distance2 = ((attachment.knots[:, None, :] - attachment.knots[None, :, :]) ** 2).sum(axis=2)
-    same = attachment.component[:, None] == attachment.component[None, :]
-    values, vectors = np.linalg.eigh(np.exp(-0.5 * distance2 / length**2) * same)
-    keep = values > tolerance * values[-1]
-    root: Array = vectors[:, keep] * np.sqrt(values[keep])
-    return root
+    """L with L Lᵀ = R(ℓ), (K, m), columns from the smallest up; directions of variance below ``tolerance`` of the
+    largest are dropped."""
+    same = attachment.component[:, None] == attachment.component
+    kernel = np.exp(-0.5 * cdist(attachment.knots, attachment.knots, "sqeuclidean") / length**2) * same
+    # A smooth function of a thousand records has some dozens of directions, and this finds no others.
+    packed, pivot, rank, _ = dpstrf(kernel, tol=1e-3 * tolerance, lower=1)
+    factor = np.zeros((len(kernel), rank))
+    factor[pivot - 1] = np.tril(packed)[:, :rank]
+    values, turn = np.linalg.eigh(factor.T @ factor)
+    return np.asarray(factor @ turn[:, values > tolerance * values[-1]])
 
 
 def smooth_functions(problem: Problem) -> list[Array]:

@@ -190,7 +190,8 @@ def _robust(
 
     low = np.array([0.0 if p.one_sided else -np.inf for p in parameters])
     start = np.where(np.isfinite(low), np.maximum(start, 1e-3), start)
-    return np.asarray(least_squares(rest, start, slope, bounds=(low, np.inf), max_nfev=ROUNDS, x_scale=1.0).x)
+    with np.errstate(over="ignore"):  # scipy's search for a damping may begin too small by far
+        return np.asarray(least_squares(rest, start, slope, bounds=(low, np.inf), max_nfev=ROUNDS, x_scale=1.0).x)
 
 
 def _linear(target: Array, columns: Array, start: Array, parameters: Sequence[Parameter]) -> Array:

@@ -256,12 +256,12 @@ def columns_at(
 ) -> list[Array]:
     """`columns` at several points, each with parameters of its own; all predictions are asked for at once."""
     tasks: list[tuple[int, int, int, int, int, float]] = []
-    values: list[dict[str, float]] = []
+    values: list[Values] = []
     blocks: list[int] = []
     here: dict[tuple[int, int], int] = {}
 
     def ask(at: Values, block: int) -> int:
-        values.append(dict(at))
+        values.append(at)
         blocks.append(block)
         return len(values) - 1
 
@@ -276,11 +276,13 @@ def columns_at(
             if (p.one_sided or p.power > 1) and low < 0:
                 low, high, once = 0.0, 2 * step, False
             width = fit_value(p, high) - fit_value(p, low)
+            # One mapping for all blocks: a thousand records would fill the memory with copies.
+            below, above = {**at, p.name: low}, {**at, p.name: high}
             for b in range(len(problem.names)) if p.blocks is None else p.blocks:
                 if once and (i, b) not in here:
                     here[i, b] = ask(at, b)
-                first = here[i, b] if once else ask({**at, p.name: low}, b)
-                tasks.append((i, k, b, first, ask({**at, p.name: high}, b), width))
+                first = here[i, b] if once else ask(below, b)
+                tasks.append((i, k, b, first, ask(above, b), width))
     out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
     found = predictions(problem, values, blocks)
     for i, k, b, first, second, width in tasks:

@@ -131,7 +131,10 @@ def modes(problem: Problem, linear: Linear, covariance: tuple[Array, ...]) -> Mo
         polynomials = np.zeros((len(problem.data), 4))
         polynomials[here] = np.polynomial.legendre.legvander(2 * (x - x.min()) / span - 1, 3)
         apart = polynomials[:, None, :] * (problem.block[:, None] == np.arange(n_blocks))[:, :, None]
-        parts = [*polynomials.T[:, :, None], apart.reshape(len(here), -1), *(g * here[:, None] for g in functions)]
+        # Of a block's few data, no more polynomials than data.
+        count = np.bincount(problem.block[here], minlength=n_blocks)
+        apart = apart[:, np.arange(polynomials.shape[1]) < count[:, None]]
+        parts = [*polynomials.T[:, :, None], apart, *(g * here[:, None] for g in functions)]
         white = [whiten(problem, covariance, part)[0] for part in parts if part.any()]
         families[str(kind)] = np.column_stack([w for part in white for w in _levelled(linear, part)])
     shared: dict[str, list[int]] = {}

@@ -10,6 +10,10 @@ true camera before the true board, T is the pose for which the marks as they are
 so T = P̂ ⊕ δ, and δ = −G (see(P̂ ⊕ δ) − stated(P̂)) with G = (Jᵀ W J)⁻¹ Jᵀ W, iterated. Light at a true place of the
 board is then seen by T through the true camera and read back by P̂ through the stated one. What of the marks'
 displacement no pose explains is the residual that the marks must show.
+
+With T as six nuisances of every exposure, integrated beside all others, the same would be found: the pose is fitted to
+the marks alone, whose residuals are independent of it, and its covariance is in that of the trace. What is kept of an
+effect's visibility is 97 % and more of what free nuisances keep (a mark's centre stands for its corners).
 """
 
 from __future__ import annotations

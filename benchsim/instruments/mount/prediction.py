@@ -69,16 +69,20 @@ class Predict:
 
     def at(self, values: Sequence[Values], blocks: NDArray[np.intp]) -> Array:
         """All at once, (T, 2)."""
-        x: dict[str, Array] = {n: np.full(len(values), v) for n, v in self.stated.items()}
-        for t, one in enumerate(values):
+        # The same values are asked of a thousand records.
+        distinct = {id(v): v for v in values}
+        x: dict[str, Array] = {n: np.full(len(distinct), v) for n, v in self.stated.items()}
+        for t, one in enumerate(distinct.values()):
             for name, value in one.items():
                 unit = self.units.get(name)
                 if unit is None or value == 0.0:
                     continue
                 if name not in x:
-                    x[name] = np.zeros(len(values))
+                    x[name] = np.zeros(len(distinct))
                 x[name][t] += value * unit
-        return self.inside(x, blocks)
+        number = {k: t for t, k in enumerate(distinct)}
+        of = np.array([number[id(v)] for v in values], np.intp)
+        return self.inside({name: v[of] for name, v in x.items()}, blocks)
 
     def inside(self, x: dict[str, Array], i: NDArray[np.intp]) -> Array:
         """For errors in rad, mm and s, (T,) each, and record numbers (T,)."""
