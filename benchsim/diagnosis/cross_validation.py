@@ -234,6 +234,16 @@ def _larger(train: Linear, catalogue: screen.Catalogue, fold: Fold, best: Effect
     return grown
 
 
+def sized(problem: Problem, fold: Fold, about: Linear, effects: Effects) -> tuple[Array, float]:
+    """Residual of all data beside effects as large as the training settings show them, and the setting scale there."""
+    train = only(about, ~fold.test)
+    sigma = {p.name: p.sigma**p.power for e in problem.catalogue if e.name in effects for p in e.parameters}
+    own = [i for i, n in enumerate(about.names) if n in sigma]
+    size = np.array([sigma[about.names[i]] for i in own])
+    scale = best_scale(train, fold.naming, train.effect[:, own] * size)
+    return about.residual - about.effect @ estimate(space(problem, train, scale), effects), scale
+
+
 def predict(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> Prediction:
     """Choose and fit on the training settings, predict the left-out ones."""
     effects, laid = choose(problem, fold, prepared)
@@ -243,19 +253,7 @@ def predict(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> Pre
         return Prediction(
             laid.attachment.name, laid.scale, linear.residual, linear.residual - white @ laid.coefficients
         )
-    if not effects:
-        scale = best_scale(only(fold.naming.linear, ~fold.test), fold.naming, np.zeros((int((~fold.test).sum()), 0)))
-        return Prediction("", scale, fold.naming.linear.residual, fold.naming.linear.residual)
-    train = only(linear, ~fold.test)
-    known = {p.name: p.sigma**p.power for e in problem.catalogue for p in e.parameters}
-    own = [
-        i
-        for i, n in enumerate(linear.names)
-        if any(n == p.name for e in problem.catalogue if e.name in effects for p in e.parameters)
-    ]
-    scale = best_scale(train, fold.naming, train.effect[:, own] * np.array([known[linear.names[i]] for i in own]))
-    amplitudes = estimate(space(problem, train, scale), effects)
-    after = linear.residual - linear.effect @ amplitudes
+    after, scale = sized(problem, fold, linear if effects else fold.naming.linear, effects)
     return Prediction("+".join(effects), scale, fold.naming.linear.residual, after)
 
 

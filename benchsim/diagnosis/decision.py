@@ -11,7 +11,6 @@ from benchsim.diagnosis import (
     cross_validation,
     degeneracy,
     discrepancy,
-    evidence,
     forward,
     location,
     predictive,
@@ -20,11 +19,10 @@ from benchsim.diagnosis import (
     verdict,
 )
 from benchsim.diagnosis.cross_validation import Fold
-from benchsim.diagnosis.degeneracy import Claim, Space, Weighed
+from benchsim.diagnosis.degeneracy import Best, Weighed
 from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.fits import Effects, Fit, Naming
-from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, predict_all, whiten
-from benchsim.diagnosis.location import Explanation
+from benchsim.diagnosis.linear import factors, nuisance_posterior, whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Found, Location
 from benchsim.diagnosis.shapes import widened
@@ -37,26 +35,6 @@ REFINED = 4
 
 CONCERN = 12.0
 """ln Z behind the best at which an attachment is left as it is."""
-
-
-LITTLE = 0.05
-"""Part of a misfit's excess χ² that a location may leave unexplained."""
-
-
-@dataclass(frozen=True)
-class Best:
-    """The hypothesis that the catalogue stands by: its fit, its claim, and the space about it.
-
-    ``effects`` are the fit's, with `settings.NAME` where its settings are further off than stated.
-    """
-
-    fit: Fit
-    effects: Effects
-    claim: Claim | None
-    hypotheses: Weighed
-    linear: Linear
-    space: Space
-    signal: Array
 
 
 @dataclass(frozen=True)
@@ -83,7 +61,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     """Let names and functions without a name compete, look for what is left, and apply the rules."""
     notes: list[str] = []
     alone = degeneracy.weighed(naming, problem.stated)
-    best = _best(problem, naming, alone, notes)
+    best = degeneracy.best(problem, naming, alone, notes)
     prepared = discrepancy.prepare(problem, naming.noise.covariance)
     free = _weigh(problem, naming, prepared, naming.null, best.fit)
     more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
@@ -94,7 +72,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         first, notes = best, []
         functions = {laid[0].attachment.name for laid in (free, more)}
         weighed = degeneracy.weighed(_beside(problem, naming, prepared, functions, first.fit), problem.stated)
-        best = _best(problem, naming, weighed, notes)
+        best = degeneracy.best(problem, naming, weighed, notes)
         gone = [e for e in first.fit.effects if e not in best.fit.effects]
         if gone:
             notes.append(f"{' and '.join(gone)}: not said, since a function without a name explains it better.")
@@ -102,8 +80,8 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
     modes = remainder.modes(problem, naming.linear, naming.noise.covariance)
     many = cross_validation.folds(problem, naming, degeneracy.about(naming.linear, best.fit))
-    left_null = _left(problem, naming, naming.null, modes)
-    left = _left(problem, naming, best.fit, modes) if best.fit.effects else left_null
+    left_null = remainder.left(problem, naming, naming.null, modes)
+    left = remainder.left(problem, naming, best.fit, modes) if best.fit.effects else left_null
     findings = Findings(
         naming.null.log_evidence,
         best.claim,
@@ -119,7 +97,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
         findings = _predicted(problem, naming, many, findings, best)
     place = None
     if findings.claim is not None or findings.something_left:
-        place = _place(problem, naming, alone, best, findings, modes)
+        place = location.place(problem, naming, alone, best, findings, modes)
     claimed = place is not None and place.claimed
     said = verdict.verdict(findings, place)
     on = naming.null
@@ -209,7 +187,7 @@ def _forward(
 
 def _predicted(problem: Problem, naming: Naming, many: tuple[Fold, ...], findings: Findings, best: Best) -> Findings:
     """By how much the claim predicts left-out settings better than what is stated, and the best function than it."""
-    as_stated, with_names = predictive.stated(many), predictive.named(problem, naming, many, best.fit)
+    as_stated, with_names = predictive.stated(problem, many), predictive.named(problem, naming, many, best.fit)
     won, sigma = predictive.gain(many, as_stated, with_names)
     outdone = None
     if findings.free and findings.margin < verdict.PROBABLE_MARGIN:
@@ -263,7 +241,7 @@ def _besides(
     spoken = {*lone, settings.NAME} | {e for members in opened for m in members for e in m}
     others = best.hypotheses.present(e for e in best.space.index if e not in spoken)
     more = max(others, key=lambda e: others[e], default="")
-    return (((more,), ()),) if more and others[more] >= verdict.SUSPECTED else ()
+    return (((more,), ()),) if more and others[more] >= degeneracy.SUSPECTED else ()
 
 
 def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...], ...]:
@@ -271,7 +249,7 @@ def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...]
     suspects: list[Effects] = []
     p = hypotheses.present(e.name for e in problem.catalogue)
     name = max(p, key=lambda e: p[e], default="")
-    if name and p[name] >= verdict.SUSPECTED:
+    if name and p[name] >= degeneracy.SUSPECTED:
         suspects.append((name,))
     if problem.stated and hypotheses.probability([(settings.NAME,)]) >= verdict.UNSURE:
         suspects.append((settings.NAME,))
@@ -331,37 +309,6 @@ def _beside(
     return replace(naming, null=both(fits[()]), fits=tuple(both(f) for f in fits.values()), screened=())
 
 
-def _best(problem: Problem, naming: Naming, weighed: Weighed, notes: list[str]) -> Best:
-    """The most probable converged hypothesis, without the effects that are not likely."""
-    z = weighed.log_evidence
-    fits = {f.effects: f for f in naming.fits if f.converged and f.effects} | {(): naming.null}
-    within = degeneracy.space(problem, naming.linear, naming.null.setting_scale)
-    nothing = np.zeros(len(naming.linear.names))
-    null = Best(naming.null, (), None, weighed, naming.linear, within, nothing)
-    effects = max((h for h in z if h and _of(h) in fits), key=lambda h: z[h], default=())
-    while effects:
-        fit = fits[_of(effects)]
-        linear = degeneracy.about(naming.linear, fit)
-        within = degeneracy.space(problem, linear, fit.setting_scale)
-        signal = degeneracy.amplitude_vector(problem, naming.linear.names, fit)
-        kept = degeneracy.likely(weighed, effects, signal, within)
-        if kept and (kept == effects or _of(kept) not in fits):
-            # What was never refitted supports no claim: the larger set keeps its place.
-            claim = degeneracy.claim(weighed, effects, signal, within)
-            return Best(fit, effects, claim, weighed, linear, within, signal)
-        # What is more likely than not is said of what is open (`_besides`).
-        dropped = [e for e in effects if e not in kept and weighed.probability([(e,)]) < verdict.SUSPECTED]
-        if kept and dropped:
-            notes.append(f"{' and '.join(dropped)}: hinted at, not likely enough to be said.")
-        effects = kept
-    return null
-
-
-def _of(effects: Effects) -> Effects:
-    """The effects of a hypothesis' fit: setting errors have none of their own."""
-    return tuple(e for e in effects if e != settings.NAME)
-
-
 def _weigh(
     problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], on: Fit, best: Fit
 ) -> tuple[Attached, ...]:
@@ -409,87 +356,3 @@ def _apart(
         if laid:
             out[e] = verdict.lead(alone, both, laid[0].log_evidence, rest.log_evidence)
     return out
-
-
-def _left(problem: Problem, naming: Naming, fit: Fit, modes: remainder.Modes) -> remainder.Remainder:
-    free = naming.noise.freedom
-    lower = tuple(factors(naming.noise.covariance))
-    base = discrepancy.absorb(problem, fit.linear)
-    return remainder.remainder(base, modes, fit.setting_scale, free, lower, problem.kind)
-
-
-def _with(
-    problem: Problem, naming: Naming, laid: Attached, modes: remainder.Modes
-) -> tuple[Linear, remainder.Remainder]:
-    """The problem with a function on it, and what the smooth modes leave then."""
-    white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
-    with_it = discrepancy.with_columns(discrepancy.absorb(problem, laid.linear), white @ laid.root)
-    return with_it, remainder.remainder(with_it, modes, laid.scale, naming.noise.freedom)
-
-
-def _place(
-    problem: Problem, naming: Naming, alone: Weighed, best: Best, findings: Findings, modes: remainder.Modes
-) -> Location | None:
-    """The element: of what is left if names stand and something is left, else of the whole misfit, which a set of names
-    of one element explains ``alone`` or not."""
-    covariance, on = naming.noise.covariance, best.fit if findings.stands else naming.null
-    rest = findings.stands and findings.something_left
-    base = on if rest else naming.null
-    ground = discrepancy.absorb(problem, base.linear)
-    explanations = []
-    coordinate: dict[str, str] = {}
-    for laid in findings.more if rest else findings.free:
-        a = laid.attachment
-        coordinate.setdefault(a.element, a.coordinate)
-        with_it, rest_of_it = _with(problem, naming, laid, modes)
-        left = 0.0 if rest_of_it.acceptable else _unexplained(with_it, laid.scale, ground, base.setting_scale)
-        explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, left))
-    if not rest:
-        element = {e.name: e.element for e in problem.catalogue}
-        fits = {f.effects: f for f in naming.fits if f.converged}
-        for effects, value in alone.log_evidence.items():
-            of = {element.get(e, settings.EFFECT.element) for e in effects}
-            if len(of) != 1:
-                continue
-            only = of.pop()
-            fit = fits.get(_of(effects))
-            nothing = fit is not None and _left(problem, naming, fit, modes).acceptable
-            explanations.append(Explanation(only, coordinate.get(only, ""), value, 0.0 if nothing else np.inf))
-    elements = {e.element: None for e in problem.catalogue if e.name in on.effects}
-    if findings.stands and not rest and len(elements) > 1:
-        place: Location | None = Location(" + ".join(elements), "", False, 0.0, ())
-    else:
-        place = location.locate(explanations)
-    if place is None:
-        return None
-    signal = _signal(problem, findings, rest, on)
-    # Beside names that stand, settings are as far off as with them: alone they took up what they could.
-    seen = (problem, ground, covariance, on.setting_scale)
-    shown = {} if signal is None else location.by_kind(*seen, signal)
-    return replace(place, along_trace=location.scan(*seen, signal), by_kind=shown)
-
-
-def _signal(problem: Problem, findings: Findings, rest: bool, on: Fit) -> Array | None:
-    """What was found, in the data's units: the names' part of the prediction, or the best function's."""
-    if findings.stands and not rest:
-        own = {p.name: 0.0 for e in problem.catalogue if e.name in on.effects for p in evidence.amplitudes(e)}
-        return predict_all(problem, on.values) - predict_all(problem, {**on.values, **own})
-    laid = findings.more if rest else findings.free
-    return laid[0].attachment.basis @ laid[0].coefficients if laid else None
-
-
-def _unexplained(with_it: Linear, scale: float, base: Linear, base_scale: float) -> float:
-    """Half of the excess χ² that a function leaves, if that is little of what there was; else infinity."""
-
-    def excess(lin: Linear, s: float) -> float:
-        m = marginal(lin, np.zeros((len(lin.residual), 0)), s)
-        return m.chi2 - m.n
-
-    before, after = excess(base, base_scale), max(excess(with_it, scale), 0.0)
-    return 0.5 * after if after < LITTLE * before else np.inf
-
-
-def winner(findings: Findings, place: Location | None) -> Attached | None:
-    """The best attachment of the element that was claimed."""
-    laid = findings.more if findings.stands else findings.free
-    return next((a for a in laid if place is not None and a.attachment.element == place.element), None)

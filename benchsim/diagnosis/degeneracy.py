@@ -32,6 +32,9 @@ COST = 0.5 * CLOSE**2
 SURE, LIKELY = 0.99, 0.9
 """Probabilities at which an effect is named, and is probable."""
 
+SUSPECTED = 1 / 3
+"""Probability of an effect that is not claimed from which on it is an open alternative to nothing."""
+
 MEMBERS = 4
 """Most members of a class."""
 
@@ -225,6 +228,22 @@ class Claim:
     nearest: float
 
 
+@dataclass(frozen=True)
+class Best:
+    """The hypothesis that the catalogue stands by: its fit, its claim, and the space about it.
+
+    ``effects`` are the fit's, with `settings.NAME` where its settings are further off than stated.
+    """
+
+    fit: Fit
+    effects: Effects
+    claim: Claim | None
+    hypotheses: Weighed
+    linear: Linear
+    space: Space
+    signal: Array
+
+
 def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> Claim:
     """Compare the best hypothesis with every other set that was weighed.
 
@@ -283,3 +302,34 @@ def likely(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> 
         if np.logaddexp.reduce(filled) - z.get(rest, -np.inf) < np.log(LIKELY / (1 - LIKELY)):
             kept = rest
     return kept
+
+
+def best(problem: Problem, naming: Naming, weighed: Weighed, notes: list[str]) -> Best:
+    """The most probable converged hypothesis, without the effects that are not likely."""
+    z = weighed.log_evidence
+    fits = {f.effects: f for f in naming.fits if f.converged and f.effects} | {(): naming.null}
+    within = space(problem, naming.linear, naming.null.setting_scale)
+    nothing = np.zeros(len(naming.linear.names))
+    null = Best(naming.null, (), None, weighed, naming.linear, within, nothing)
+    effects = max((h for h in z if h and fitted(h) in fits), key=lambda h: z[h], default=())
+    while effects:
+        fit = fits[fitted(effects)]
+        at = about(naming.linear, fit)
+        within = space(problem, at, fit.setting_scale)
+        signal = amplitude_vector(problem, naming.linear.names, fit)
+        kept = likely(weighed, effects, signal, within)
+        if kept and (kept == effects or fitted(kept) not in fits):
+            # What was never refitted supports no claim: the larger set keeps its place.
+            stands = claim(weighed, effects, signal, within)
+            return Best(fit, effects, stands, weighed, at, within, signal)
+        # What is more likely than not is said of what is open (`_besides`).
+        dropped = [e for e in effects if e not in kept and weighed.probability([(e,)]) < SUSPECTED]
+        if kept and dropped:
+            notes.append(f"{' and '.join(dropped)}: hinted at, not likely enough to be said.")
+        effects = kept
+    return null
+
+
+def fitted(effects: Effects) -> Effects:
+    """The effects of a hypothesis' fit: setting errors have none of their own."""
+    return tuple(e for e in effects if e != settings.NAME)

@@ -14,11 +14,13 @@ from benchsim.diagnosis import (
     degeneracy,
     detection_limits,
     discrepancy,
+    location,
     new_law,
     next_experiment,
     settings,
 )
-from benchsim.diagnosis.decision import Best, Judged, judge, winner
+from benchsim.diagnosis.decision import Judged, judge
+from benchsim.diagnosis.degeneracy import Best
 from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.fits import Effects, Fit, Naming
 from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
@@ -68,7 +70,9 @@ def conclude(problem: Problem, naming: Naming, progress: Progress | None = None)
     notes = list(judged.notes)
     tell("settings left out", 0.8)
     # Where nobody stated the errors, the model that predicts best is stated already, whatever a function would fit.
-    laid = winner(findings, place) if said == "located" and not (problem.judged_forward and on.effects) else None
+    laid = (
+        location.winner(findings, place) if said == "located" and not (problem.judged_forward and on.effects) else None
+    )
     many = judged.folds
     law: Law | None = None
     if laid is not None:

@@ -23,8 +23,8 @@ from benchsim.diagnosis.problem import Parameter, Problem, Values
 Array = NDArray[np.float64]
 
 
-TOGETHER = 128
-"""Most predictions in one task: few enough that cores share the work evenly, enough that more would gain little."""
+TOGETHER = 25_000
+"""Data predicted in one task: few enough that cores share the work evenly, enough that more would gain little."""
 
 
 CANCELLED = 1e-9
@@ -300,7 +300,8 @@ def predictions(problem: Problem, values: Sequence[Values], blocks: Sequence[int
     """
     if not hasattr(problem.predict, "many"):
         return list(problem.spread(problem.predict, values, blocks))
-    count = max(1, -(-len(values) // TOGETHER))
+    size = np.bincount(problem.block, minlength=len(problem.names))
+    count = max(1, -(-int(size[np.asarray(blocks, np.intp)].sum()) // TOGETHER))
     ends = [len(values) * k // count for k in range(count + 1)]
     parts = [slice(*pair) for pair in pairwise(ends)]
     lists, numbers = [list(values[p]) for p in parts], [[int(b) for b in blocks[p]] for p in parts]

@@ -11,16 +11,21 @@ Bonferroni's bound.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.stats import norm
 
-from benchsim.diagnosis.linear import Linear, marginal, precision, whiten
+from benchsim.diagnosis import degeneracy, discrepancy, evidence, remainder, settings
+from benchsim.diagnosis.degeneracy import Best, Weighed
+from benchsim.diagnosis.discrepancy import Attached
+from benchsim.diagnosis.fits import Fit, Naming
+from benchsim.diagnosis.linear import Linear, marginal, precision, predict_all, whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Location, Stretch
+from benchsim.diagnosis.verdict import Findings
 
 Array = NDArray[np.float64]
 
@@ -30,6 +35,9 @@ makes some of it."""
 
 FAMILY_WISE = 0.01
 """Rate at which a recording without anything missing shows a stretch at all."""
+
+LITTLE = 0.05
+"""Part of a misfit's excess χ² that a location may leave unexplained."""
 
 _SHORTEST = 3
 
@@ -182,3 +190,71 @@ def _windows(problem: Problem) -> list[tuple[int, NDArray[np.intp]]]:
                         out.append((b, members[start : start + length]))
                     length *= 2
     return out
+
+
+def place(
+    problem: Problem, naming: Naming, alone: Weighed, best: Best, findings: Findings, modes: remainder.Modes
+) -> Location | None:
+    """The element: of what is left if names stand and something is left, else of the whole misfit, which a set of names
+    of one element explains ``alone`` or not; and where along the lines."""
+    covariance, on = naming.noise.covariance, best.fit if findings.stands else naming.null
+    rest = findings.stands and findings.something_left
+    base = on if rest else naming.null
+    ground = discrepancy.absorb(problem, base.linear)
+    explanations = []
+    coordinate: dict[str, str] = {}
+    for laid in findings.more if rest else findings.free:
+        a = laid.attachment
+        coordinate.setdefault(a.element, a.coordinate)
+        with_it, rest_of_it = remainder.beside(problem, naming, laid, modes)
+        left = 0.0 if rest_of_it.acceptable else _unexplained(with_it, laid.scale, ground, base.setting_scale)
+        explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, left))
+    if not rest:
+        element = {e.name: e.element for e in problem.catalogue}
+        fits = {f.effects: f for f in naming.fits if f.converged}
+        for effects, value in alone.log_evidence.items():
+            of = {element.get(e, settings.EFFECT.element) for e in effects}
+            if len(of) != 1:
+                continue
+            only = of.pop()
+            fit = fits.get(degeneracy.fitted(effects))
+            nothing = fit is not None and remainder.left(problem, naming, fit, modes).acceptable
+            explanations.append(Explanation(only, coordinate.get(only, ""), value, 0.0 if nothing else np.inf))
+    elements = {e.element: None for e in problem.catalogue if e.name in on.effects}
+    if findings.stands and not rest and len(elements) > 1:
+        there: Location | None = Location(" + ".join(elements), "", False, 0.0, ())
+    else:
+        there = locate(explanations)
+    if there is None:
+        return None
+    signal = _signal(problem, findings, rest, on)
+    # Beside names that stand, settings are as far off as with them: alone they took up what they could.
+    seen = (problem, ground, covariance, on.setting_scale)
+    shown = {} if signal is None else by_kind(*seen, signal)
+    return replace(there, along_trace=scan(*seen, signal), by_kind=shown)
+
+
+def _signal(problem: Problem, findings: Findings, rest: bool, on: Fit) -> Array | None:
+    """What was found, in the data's units: the names' part of the prediction, or the best function's."""
+    if findings.stands and not rest:
+        own = {p.name: 0.0 for e in problem.catalogue if e.name in on.effects for p in evidence.amplitudes(e)}
+        return predict_all(problem, on.values) - predict_all(problem, {**on.values, **own})
+    laid = findings.more if rest else findings.free
+    return laid[0].attachment.basis @ laid[0].coefficients if laid else None
+
+
+def _unexplained(with_it: Linear, scale: float, base: Linear, base_scale: float) -> float:
+    """Half of the excess χ² that a function leaves, if that is little of what there was; else infinity."""
+
+    def excess(lin: Linear, s: float) -> float:
+        m = marginal(lin, np.zeros((len(lin.residual), 0)), s)
+        return m.chi2 - m.n
+
+    before, after = excess(base, base_scale), max(excess(with_it, scale), 0.0)
+    return 0.5 * after if after < LITTLE * before else np.inf
+
+
+def winner(findings: Findings, place: Location | None) -> Attached | None:
+    """The best attachment of the element that was claimed."""
+    laid = findings.more if findings.stands else findings.free
+    return next((a for a in laid if place is not None and a.attachment.element == place.element), None)

@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.cross_validation import Fold, beside, best_scale, excess, only
-from benchsim.diagnosis.degeneracy import estimate, space
+from benchsim.diagnosis.cross_validation import Fold, beside, excess, sized
 from benchsim.diagnosis.discrepancy import Attached, prepare, weigh, whitened
-from benchsim.diagnosis.fits import Fit, Naming
+from benchsim.diagnosis.fits import Effects, Fit, Naming
 from benchsim.diagnosis.linear import Linear, whiten
 from benchsim.diagnosis.problem import Problem
 
@@ -50,26 +49,19 @@ class Model:
     scale: tuple[float, ...]
 
 
-def stated(many: Sequence[Fold]) -> Model:
+def stated(problem: Problem, many: Sequence[Fold]) -> Model:
     """The simulation as stated, settings fitted."""
-    nothing = [np.zeros((int((~f.test).sum()), 0)) for f in many]
-    scale = [best_scale(only(f.naming.linear, ~f.test), f.naming, z) for f, z in zip(many, nothing, strict=True)]
-    about = tuple(f.naming.linear for f in many)
-    return Model(about, tuple(a.residual for a in about), tuple(scale))
+    return _of(problem, many, [f.naming.linear for f in many], ())
 
 
 def named(problem: Problem, naming: Naming, many: Sequence[Fold], fit: Fit) -> Model:
     """A hypothesis with the sizes that the other settings give its effects, about its own fit."""
-    known = {p.name: p.sigma**p.power for e in problem.catalogue for p in e.parameters}
-    size = np.array([known[n] for n in fit.linear.names])
-    about = [beside(problem, naming, fold, fit.linear) for fold in many]
-    residual, scales = [], []
-    for fold, at in zip(many, about, strict=True):
-        train = only(at, ~fold.test)
-        scale = best_scale(train, fold.naming, train.effect * size)
-        residual.append(at.residual - at.effect @ estimate(space(problem, train, scale), fit.effects))
-        scales.append(scale)
-    return Model(tuple(about), tuple(residual), tuple(scales))
+    return _of(problem, many, [beside(problem, naming, fold, fit.linear) for fold in many], fit.effects)
+
+
+def _of(problem: Problem, many: Sequence[Fold], about: Sequence[Linear], effects: Effects) -> Model:
+    found = [sized(problem, fold, at, effects) for fold, at in zip(many, about, strict=True)]
+    return Model(tuple(about), tuple(r for r, _ in found), tuple(scale for _, scale in found))
 
 
 def function(problem: Problem, many: Sequence[Fold], laid: Attached) -> Model:

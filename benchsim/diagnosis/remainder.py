@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
-from benchsim.diagnosis.discrepancy import smooth_functions
-from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, whiten
+from benchsim.diagnosis.discrepancy import Attached, absorb, smooth_functions, with_columns
+from benchsim.diagnosis.fits import Fit, Naming
+from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, whiten
 from benchsim.diagnosis.problem import Problem
 
 Array = NDArray[np.float64]
@@ -201,3 +202,18 @@ def remainder(
             rms = float(np.sqrt(np.mean(raw[kind == name] ** 2) * max(0.0, 1 - k / total)))
         found[name] = Family(statistic, rank, float(min(1.0, len(sums) * min(chances))), rms)
     return Remainder(found)
+
+
+def left(problem: Problem, naming: Naming, fit: Fit, families: Modes) -> Remainder:
+    """What the smooth modes show beside a fit."""
+    free = naming.noise.freedom
+    lower = tuple(factors(naming.noise.covariance))
+    base = absorb(problem, fit.linear)
+    return remainder(base, families, fit.setting_scale, free, lower, problem.kind)
+
+
+def beside(problem: Problem, naming: Naming, laid: Attached, families: Modes) -> tuple[Linear, Remainder]:
+    """The problem with a function on it, and what the smooth modes leave then."""
+    white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
+    with_it = with_columns(absorb(problem, laid.linear), white @ laid.root)
+    return with_it, remainder(with_it, families, laid.scale, naming.noise.freedom)

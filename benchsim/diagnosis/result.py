@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -196,99 +196,55 @@ class Diagnosis:
     left: tuple[Left, ...] = field(default=())
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for ``diagnosis.json``."""
-
-        def plain(x: float) -> float | None:
-            return float(x) if np.isfinite(x) else None
-
-        def split(s: SplitBy) -> dict[str, Any]:
-            return {"kind": s.kind, "what": s.what, "separation_sigma": plain(s.separation_sigma)}
-
-        held = self.held_out
+        """Plain values for ``diagnosis.json``; what is not finite is null."""
+        held, law = self.held_out, self.law
         before, after = self.rms.get("c", (float("nan"), float("nan")))
-        return {
+        rms = {k: {"before": b, "after": a} for k, (b, a) in self.rms.items()}
+        found = {
             "format": "benchsim-diagnosis/1",
             "verdict": self.verdict,
-            "effects": [
-                {
-                    "name": f.name,
-                    "element": f.element,
-                    "probability": f.probability,
-                    "confidence": f.confidence,
-                    "parameters": {
-                        k: {"value": plain(s.value), "sigma": plain(s.sigma), "unit": s.unit}
-                        for k, s in f.parameters.items()
-                    },
-                    "says": f.says,
-                    "remedy": f.remedy,
-                }
-                for f in self.effects
-            ],
-            "classes": [
-                {
-                    "members": [list(m) for m in c.members],
-                    "probability": c.probability,
-                    "split_by": None if c.split_by is None else split(c.split_by),
-                }
-                for c in self.classes
-            ],
-            "location": None
-            if self.location is None
-            else {
-                "element": self.location.element,
-                "coordinate": self.location.coordinate,
-                "claimed": self.location.claimed,
-                "margin": plain(self.location.margin),
-                "along_trace": [
-                    {"exposure": s.exposure, "from_mm": plain(s.from_mm), "to_mm": plain(s.to_mm), "z": plain(s.z)}
-                    for s in self.location.along_trace
-                ],
-                "by_kind": {k: plain(v) for k, v in self.location.by_kind.items()},
-            },
+            "effects": self.effects,
+            "classes": self.classes,
+            "location": self.location,
             "law": None
-            if self.law is None
+            if law is None
             else {
-                "coordinate": self.law.coordinate,
-                "terms": {k: plain(v) for k, v in self.law.terms.items()},
-                "held_out_gain": plain(self.law.held_out_gain),
-                "held_out_gain_sigma": plain(self.law.gain_sigma),
+                "coordinate": law.coordinate,
+                "terms": law.terms,
+                "held_out_gain": law.held_out_gain,
+                "held_out_gain_sigma": law.gain_sigma,
             },
             "fit": {
-                "rms_mm": {"before": plain(before), "after": plain(after)},
-                "rms": {k: {"before": plain(b), "after": plain(a)} for k, (b, a) in self.rms.items()},
-                "held_out": None
-                if held is None
-                else {
-                    "folds": held.folds,
-                    "data": held.data,
-                    "excess_chi2_before": plain(held.excess_chi2_before),
-                    "excess_chi2_after": plain(held.excess_chi2_after),
-                    "sigma": plain(held.sigma),
-                    "fraction_removed": held.fraction_removed,
-                },
+                "rms_mm": {"before": before, "after": after},
+                "rms": rms,
+                "held_out": None if held is None else {**vars(held), "fraction_removed": held.fraction_removed},
             },
-            "pulls": {k: plain(v) for k, v in self.pulls.items()},
-            "limits": {
-                k: {
-                    "parameter": v.parameter,
-                    "five_sigma": plain(v.five_sigma),
-                    "unit": v.unit,
-                    "reachable": v.reachable,
-                }
-                for k, v in self.limits.items()
-            },
-            "next": [split(s) for s in self.next],
-            "left": [
-                {"family": x.family, "p": plain(x.p), "rms": plain(x.rms), "rms_mm": plain(x.rms_mm)} for x in self.left
-            ],
+            "pulls": self.pulls,
+            "limits": self.limits,
+            "next": self.next,
+            "left": self.left,
             "noise": {
-                "sigma_scale": plain(self.sigma_scale),
-                "correlation_mm": plain(self.correlation),
-                "setting_scale": plain(self.setting_scale),
+                "sigma_scale": self.sigma_scale,
+                "correlation_mm": self.correlation,
+                "setting_scale": self.setting_scale,
             },
-            "probability": dict(self.probability),
-            "notes": list(self.notes),
+            "probability": self.probability,
+            "notes": self.notes,
         }
+        return {k: _plain(v) for k, v in found.items()}
+
+
+def _plain(x: Any) -> Any:
+    """Records and mappings as dicts, sequences as lists, numbers that are not finite as None."""
+    if is_dataclass(x):
+        return {k: _plain(v) for k, v in vars(x).items()}
+    if isinstance(x, Mapping):
+        return {k: _plain(v) for k, v in x.items()}
+    if isinstance(x, list | tuple):
+        return [_plain(v) for v in x]
+    if isinstance(x, float | np.floating):
+        return float(x) if np.isfinite(x) else None
+    return x
 
 
 def chosen(d: Diagnosis) -> tuple[str, ...]:

@@ -41,9 +41,6 @@ MISSING = float(np.log(SURE / (1 - SURE)))
 UNSURE = 0.05
 """Probability of setting errors from which on nothing is said to be missing."""
 
-SUSPECTED = 1 / 3
-"""Probability of an effect that is not claimed from which on it is an open alternative to nothing."""
-
 
 @dataclass(frozen=True)
 class Further:
