@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from benchsim.diagnosis import evidence, linear, screen
-from benchsim.diagnosis.fits import Fit, Naming
+from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.fitting import RENEWALS, Start, fitted
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, span, whitener
+from benchsim.diagnosis.hypothesis import Context, Fit, Hypothesis, Naming, Point, span
 from benchsim.diagnosis.problem import Problem
 
 Array = NDArray[np.float64]
@@ -42,7 +41,7 @@ def ahead(problem: Problem, found: Naming, effects: Mapping[str, Mapping[str, fl
     )
     context = _context(problem, found)
     columns = linear.columns(problem, at, problem.nuisances) * np.array([p.sigma for p in problem.nuisances])
-    prior = screen.log_prior(h.names, [e.name for e in problem.catalogue])
+    prior = evidence.log_prior(h.names, [e.name for e in problem.catalogue])
     (end,) = fitted(context, [Start(h, point, context.whiten(columns))], {h.names: prior}, renewals=RENEWALS)
     return end.fit.log_evidence - found.fits[0].log_evidence
 
@@ -97,13 +96,13 @@ def sampled(problem: Problem, found: Naming, fit: Fit, seed: int = 0) -> tuple[f
     log_weight = log_prior - 0.5 * (white(points) ** 2).sum(axis=1) - log_drawn
     log_weight[((points < low) | (points > high)).any(axis=1) | np.isnan(log_weight)] = -np.inf
     exact = float(logsumexp(log_weight)) - np.log(DRAWS)
-    exact -= 0.5 * (context.whiten.logdet + len(problem.data) * np.log(2 * np.pi))
+    exact -= 0.5 * (context.logdet + len(problem.data) * np.log(2 * np.pi))
     at = int(np.argmin(np.abs(found.setting_scales - fit.setting_scale)))
-    presence = screen.log_prior(h.names, [e.name for e in problem.catalogue])
+    presence = evidence.log_prior(h.names, [e.name for e in problem.catalogue])
     stated = float(fit.log_scales[at]) - presence - float(np.log(found.scale_weights[at]))
     size = float(np.exp(2 * logsumexp(log_weight) - logsumexp(2 * log_weight)))
     return stated - exact, size
 
 
 def _context(problem: Problem, found: Naming) -> Context:
-    return Context(problem, whitener(found.noise.covariance), found.setting_scales, found.scale_weights)
+    return Context(problem, linear.factors(found.noise.covariance), found.setting_scales, found.scale_weights)

@@ -13,7 +13,6 @@ from benchsim.diagnosis import (
     discrepancy,
     forward,
     location,
-    predictive,
     remainder,
     settings,
     verdict,
@@ -21,8 +20,8 @@ from benchsim.diagnosis import (
 from benchsim.diagnosis.cross_validation import Fold
 from benchsim.diagnosis.degeneracy import Best, Weighed
 from benchsim.diagnosis.discrepancy import Attached
-from benchsim.diagnosis.fits import Effects, Fit, Naming
-from benchsim.diagnosis.linear import factors, nuisance_posterior, whiten
+from benchsim.diagnosis.hypothesis import Effects, Fit, Naming
+from benchsim.diagnosis.linear import factors, nuisance_posterior, raised, whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Found, Location
 from benchsim.diagnosis.shapes import widened
@@ -153,7 +152,7 @@ def _written(
     ]
     if not many:
         return best.fit, lone, opened
-    fit = predictive.simplest(problem, naming, many, [best.fit, *others])
+    fit = cross_validation.simplest(problem, naming, many, [best.fit, *others])
     if fit.effects == effects:
         return fit, lone, opened
     instead = " + ".join(fit.effects) or "nothing"
@@ -187,12 +186,15 @@ def _forward(
 
 def _predicted(problem: Problem, naming: Naming, many: tuple[Fold, ...], findings: Findings, best: Best) -> Findings:
     """By how much the claim predicts left-out settings better than what is stated, and the best function than it."""
-    as_stated, with_names = predictive.stated(problem, many), predictive.named(problem, naming, many, best.fit)
-    won, sigma = predictive.gain(many, as_stated, with_names)
+    as_stated, with_names = (
+        cross_validation.stated(problem, many),
+        cross_validation.named(problem, naming, many, best.fit),
+    )
+    won, sigma = cross_validation.gain(many, as_stated, with_names)
     outdone = None
     if findings.free and findings.margin < verdict.PROBABLE_MARGIN:
-        alone = predictive.function(problem, many, findings.free[0])
-        lost, spread = predictive.gain(many, with_names, alone)
+        alone = cross_validation.function(problem, many, findings.free[0])
+        lost, spread = cross_validation.gain(many, with_names, alone)
         outdone = lost / max(spread, 1e-12)
     return replace(findings, predicted=won / max(sigma, 1e-12), outdone=outdone)
 
@@ -216,7 +218,7 @@ def _further(
         shift = white @ more[0].coefficients
         pull, _ = nuisance_posterior(base, shift, more[0].scale)
         seen = shift - base.nuisance @ pull
-        raw = np.concatenate([low @ seen[problem.rows(b)] for b, low in enumerate(factors(naming.noise.covariance))])
+        raw = raised(factors(naming.noise.covariance), seen)
         removed = _removed(best)
         part = float(shift @ seen) / max(removed, 1e-300) if own else np.inf
         loud = any(np.sqrt(np.mean(raw[problem.kind == k] ** 2)) > s for k, s in usual.items())

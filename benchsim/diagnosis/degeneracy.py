@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from benchsim.diagnosis import settings
-from benchsim.diagnosis.fits import Effects, Fit, Naming
+from benchsim.diagnosis.hypothesis import Effects, Fit, Naming
 from benchsim.diagnosis.linear import Linear, marginal
 from benchsim.diagnosis.problem import Parameter, Problem
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis.degeneracy import Space
-from benchsim.diagnosis.fits import Effects
+from benchsim.diagnosis.hypothesis import Effects
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Limit
 

@@ -22,8 +22,8 @@ from benchsim.diagnosis import (
 from benchsim.diagnosis.decision import Judged, judge
 from benchsim.diagnosis.degeneracy import Best
 from benchsim.diagnosis.discrepancy import Attached
-from benchsim.diagnosis.fits import Effects, Fit, Naming
-from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
+from benchsim.diagnosis.hypothesis import Effects, Fit, Naming
+from benchsim.diagnosis.linear import factors, nuisance_posterior, predict_all, raised, whiten
 from benchsim.diagnosis.naming import name
 from benchsim.diagnosis.next_experiment import Alive
 from benchsim.diagnosis.problem import Problem
@@ -194,10 +194,7 @@ def _residuals(
         white, _ = whiten(problem, naming.noise.covariance, laid.attachment.basis)
         rest = base.residual - white @ laid.coefficients
         pull, _ = nuisance_posterior(base, rest, laid.scale)
-        after = np.empty(len(rest))
-        for b, c in enumerate(naming.noise.covariance):
-            rows = problem.rows(b)
-            after[rows] = np.linalg.cholesky(c) @ (rest - base.nuisance @ pull)[rows]
+        after = raised(factors(naming.noise.covariance), rest - base.nuisance @ pull)
     nothing = np.full(len(before), np.nan)
     return Residuals(
         before,

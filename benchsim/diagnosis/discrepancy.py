@@ -25,10 +25,10 @@ from scipy.linalg.lapack import dpstrf, dsytrd
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
-from benchsim.diagnosis.fits import Fit, Naming
+from benchsim.diagnosis.evidence import PRESENCE
+from benchsim.diagnosis.hypothesis import Fit, Naming
 from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, precision, predict_all, value_of, whiten
 from benchsim.diagnosis.problem import Attachment, Parameter, Problem
-from benchsim.diagnosis.screen import PRESENCE
 
 Array = NDArray[np.float64]
 

@@ -24,6 +24,9 @@ from scipy.special import log_ndtr, logsumexp
 from benchsim.diagnosis.problem import Effect, Parameter
 
 Array = NDArray[np.float64]
+PRESENCE = 0.02
+"""Prior probability of each effect to be present."""
+
 NODES = (64, 40, 24)
 """Of the quadrature, innermost first; further out all have the last: 1e-2 in ln Z or better (held by a test)."""
 
@@ -60,6 +63,11 @@ class Term:
     log_weight: float
     field_sigma: tuple[float, ...] = ()
     node: tuple[int, ...] = ()
+
+
+def log_prior(effects: Sequence[str], catalogue: Sequence[str]) -> float:
+    """ln of the prior probability that just these are present."""
+    return len(effects) * float(np.log(PRESENCE)) + (len(catalogue) - len(effects)) * float(np.log1p(-PRESENCE))
 
 
 def amplitudes(effect: Effect) -> tuple[Parameter, ...]:

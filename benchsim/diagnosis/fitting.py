@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, settings
-from benchsim.diagnosis.evidence import Term
-from benchsim.diagnosis.fits import Effects, Fit
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, span, values
+from benchsim.diagnosis.hypothesis import Context, Effects, Fit, Hypothesis, Point, Solved, span, values
 from benchsim.diagnosis.least_squares import Points, Solution, Task, minimise
 from benchsim.diagnosis.linear import Linear, posterior
 from benchsim.diagnosis.problem import Parameter
@@ -222,23 +220,15 @@ def about(context: Context, h: Hypothesis, end: Solution) -> Linear:
         -end.jacobian[:, p : p + k],
         tuple(a.name for a in h.amplitudes),
         context.problem.block,
-        context.whiten.logdet,
+        context.logdet,
     )
-
-
-def log_cells(context: Context, lin: Linear, columns: Array, terms: Sequence[Term]) -> Array:
-    """ln Z of every (setting scale, term), (S, T), without the prior of presence."""
-    many = settings.marginals(lin, columns, context.scales)
-    gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
-    cells = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
-    return np.asarray(cells + settings.log_null(many, context.weights)[:, None])
 
 
 def _cells(context: Context, h: Hypothesis, end: Solution) -> Array:
     p = len(context.problem.nuisances)
     if not np.isfinite(end.cost):
         return np.full((len(context.scales), len(h.terms())), -np.inf)
-    return log_cells(context, about(context, h, end), -end.jacobian[:, p:], h.terms())
+    return settings.log_cells(about(context, h, end), -end.jacobian[:, p:], context.scales, context.weights, h.terms())
 
 
 def _choose(cells: Array) -> tuple[int, int]:

@@ -24,8 +24,7 @@ from scipy.optimize import least_squares
 
 from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.cross_validation import FOLDS, in_turn
-from benchsim.diagnosis.fits import LARGEST, Effects, Fit, Naming
-from benchsim.diagnosis.hypothesis import Hypothesis
+from benchsim.diagnosis.hypothesis import LARGEST, Effects, Fit, Hypothesis, Naming
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
 Array = NDArray[np.float64]

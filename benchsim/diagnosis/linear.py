@@ -11,7 +11,7 @@ hypotheses are products through M⁻¹ (Woodbury):
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -115,6 +115,12 @@ def lowered(lower: Sequence[Array], columns: Array) -> Array:
     return out
 
 
+def raised(lower: Sequence[Array], white: Array) -> Array:
+    """L white, block after block: what was whitened, in the data's units; ``white`` is (n,) or (n, k)."""
+    parts = np.split(white, np.cumsum([len(low) for low in lower])[:-1])
+    return np.concatenate([low @ part for low, part in zip(lower, parts, strict=True)])
+
+
 def _alike(blocks: Sequence[Array]) -> bool:
     return len(blocks) > 1 and len(blocks[0]) <= TINY and all(len(b) == len(blocks[0]) for b in blocks)
 
@@ -197,14 +203,35 @@ def marginal(linear: Linear, columns: Array, scale: float = 1.0, keep: NDArray[n
     keep : (n,) bool, optional
         Data to use, whole blocks only (a block's whitening mixes its data); default all.
     """
-    use = slice(None) if keep is None else keep
-    n_cols, both = linear.nuisance[use], np.column_stack([linear.residual[use], columns[use]])
-    s = np.where(linear.scaled, scale, 1.0)
-    factor = precision(n_cols, s)
-    product = through(n_cols, s, both, factor, n_cols.T @ both, both.T @ both)
-    logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum())
-    whitening = linear.logdet if keep is None else 0.0
-    return Marginal(product[1:, 1:], product[1:, 0], float(product[0, 0]), logdet + whitening, len(both))
+    if keep is not None:
+        linear, columns = only(linear, keep), columns[keep]
+    return marginals(linear, columns, [scale])[0]
+
+
+def marginals(linear: Linear, columns: Array, scales: Sequence[float] | Array) -> tuple[Marginal, ...]:
+    """`marginal` at several setting scales, the products of long arrays taken once."""
+    both = np.column_stack([linear.residual, columns])
+    own, cross, square = linear.nuisance.T @ linear.nuisance, linear.nuisance.T @ both, both.T @ both
+    out = []
+    for scale in scales:
+        s = np.where(linear.scaled, scale, 1.0)
+        factor = precision(linear.nuisance, s, own)
+        product = through(linear.nuisance, s, both, factor, cross, square)
+        logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum()) + linear.logdet
+        out.append(Marginal(product[1:, 1:], product[1:, 0], float(product[0, 0]), logdet, len(both)))
+    return tuple(out)
+
+
+def only(linear: Linear, keep: NDArray[np.bool_]) -> Linear:
+    """The rows of whole blocks; the determinant of the noise, which all hypotheses share, is left out."""
+    return replace(
+        linear,
+        residual=linear.residual[keep],
+        nuisance=linear.nuisance[keep],
+        effect=linear.effect[keep],
+        block=linear.block[keep],
+        logdet=0.0,
+    )
 
 
 def nuisance_posterior(linear: Linear, residual: Array, scale: float = 1.0) -> tuple[Array, Array]:

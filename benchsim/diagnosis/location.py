@@ -21,7 +21,7 @@ from scipy.stats import norm
 from benchsim.diagnosis import degeneracy, discrepancy, evidence, remainder, settings
 from benchsim.diagnosis.degeneracy import Best, Weighed
 from benchsim.diagnosis.discrepancy import Attached
-from benchsim.diagnosis.fits import Fit, Naming
+from benchsim.diagnosis.hypothesis import Fit, Naming
 from benchsim.diagnosis.linear import Linear, marginal, precision, predict_all, whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Location, Stretch

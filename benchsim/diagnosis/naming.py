@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from benchsim.diagnosis import evidence, linear, noise, screen, settings
 from benchsim.diagnosis.discrepancy import smooth_functions
-from benchsim.diagnosis.fits import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.fitting import RENEWALS, Start, as_it_stands, fitted
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, whitener
+from benchsim.diagnosis.hypothesis import Context, Effects, Fit, Hypothesis, Naming, Noise, Point, Solved
 from benchsim.diagnosis.places import whole
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.screen import Catalogue
@@ -93,13 +92,13 @@ def _check(problem: Problem) -> None:
 
 
 def _context(problem: Problem, found: Noise) -> Context:
-    return Context(problem, whitener(found.covariance), *settings.grid())
+    return Context(problem, linear.factors(found.covariance), *settings.grid())
 
 
 def _null(context: Context, points: Sequence[Point], columns: Array) -> list[Solved]:
     """The null's fits from some points; derivatives by the nuisances are those about the stated settings."""
     h, white = Hypothesis(()), context.whiten(columns)
-    prior: dict[Effects, float] = {(): screen.log_prior((), [e.name for e in context.problem.catalogue])}
+    prior: dict[Effects, float] = {(): evidence.log_prior((), [e.name for e in context.problem.catalogue])}
     return fitted(context, [Start(h, point, white) for point in points], prior, renewals=RENEWALS)
 
 

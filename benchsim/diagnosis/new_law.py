@@ -15,10 +15,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.cross_validation import Fold, best_scale, excess, only
+from benchsim.diagnosis.cross_validation import Fold, best_scale, excess
 from benchsim.diagnosis.discrepancy import Attached, absorb, prepare, weigh, whitened
-from benchsim.diagnosis.fits import Fit, Naming
-from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, whiten
+from benchsim.diagnosis.hypothesis import Fit, Naming
+from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, only, whiten
 from benchsim.diagnosis.problem import Attachment, Problem
 from benchsim.diagnosis.result import Law
 

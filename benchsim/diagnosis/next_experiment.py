@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis.degeneracy import Space, separation
-from benchsim.diagnosis.fits import Effects
+from benchsim.diagnosis.hypothesis import Effects
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import NextRecording, Problem
 from benchsim.diagnosis.result import SplitBy

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
-from benchsim.diagnosis.fits import Noise
+from benchsim.diagnosis.hypothesis import Noise
 from benchsim.diagnosis.problem import Problem
 
 Array = NDArray[np.float64]

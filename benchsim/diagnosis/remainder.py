@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
 from benchsim.diagnosis.discrepancy import Attached, absorb, smooth_functions, with_columns
-from benchsim.diagnosis.fits import Fit, Naming
-from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, whiten
+from benchsim.diagnosis.hypothesis import Fit, Naming
+from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, raised, whiten
 from benchsim.diagnosis.problem import Problem
 
 Array = NDArray[np.float64]
@@ -172,7 +172,7 @@ def remainder(
     scale : float
         Setting scale.
     freedom : mapping of str to float, optional
-        By kind: numbers from which its noise was estimated (`fits.Noise`), so that χ² over its rank is F; default
+        By kind: numbers from which its noise was estimated (`hypothesis.Noise`), so that χ² over its rank is F; default
         known.
     lower : tuple of (n_b, n_b), optional
         Cholesky factors of the blocks' covariance, and the kind of every datum: without them ``rms`` is nan.
@@ -198,7 +198,7 @@ def remainder(
             mode = columns @ (vectors[:, :k] @ (y[:k] / values[:k]))
             # Most of a mode that settings nearly hide is theirs: what of it they cannot do is what the data show.
             shown = mode - linear.nuisance @ nuisance_posterior(linear, mode, scale)[0]
-            raw = np.concatenate([low @ shown[linear.block == b] for b, low in enumerate(lower)])
+            raw = raised(lower, shown)
             rms = float(np.sqrt(np.mean(raw[kind == name] ** 2) * max(0.0, 1 - k / total)))
         found[name] = Family(statistic, rank, float(min(1.0, len(sums) * min(chances))), rms)
     return Remainder(found)

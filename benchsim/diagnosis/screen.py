@@ -18,14 +18,11 @@ from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, linear, settings
 from benchsim.diagnosis.evidence import Term
-from benchsim.diagnosis.fits import Effects
+from benchsim.diagnosis.hypothesis import Effects
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import Effect, Parameter, Problem, Values
 
 Array = NDArray[np.float64]
-PRESENCE = 0.02
-"""Prior probability of each effect to be present."""
-
 BENT = 0.5
 """Prior sigmas to either side at which the bend of the data by an amplitude is read: it is to say where fits begin."""
 
@@ -120,11 +117,6 @@ def singles_and_pairs(names: Sequence[str]) -> list[Effects]:
     return [*((n,) for n in names), *combinations(names, 2)]
 
 
-def log_prior(effects: Effects, catalogue: Sequence[str]) -> float:
-    """ln of the prior probability that just these are present."""
-    return len(effects) * float(np.log(PRESENCE)) + (len(catalogue) - len(effects)) * float(np.log1p(-PRESENCE))
-
-
 def effect_terms(catalogue: Catalogue, name: str, offset: int = 0) -> list[Term]:
     """All integrals of one effect: its grid nodes times its population sigmas."""
     effect = catalogue.effects[name]
@@ -196,13 +188,8 @@ def weigh(
     scales, weights : (m,) array
     hypotheses : iterable of (effects, terms)
     """
-    many = settings.marginals(about, columns, scales)
-    base = settings.log_null(many, weights)
-    gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
     listed = list(hypotheses)
-    terms = [t for _, ts in listed for t in ts]
-    factors = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
-    factors += base[:, None]
+    factors = settings.log_cells(about, columns, scales, weights, [t for _, ts in listed for t in ts])
     first = np.cumsum([0, *(len(ts) for _, ts in listed)])[:-1]
     total = np.logaddexp.reduceat(logsumexp(factors, axis=0), first)
     return {effects: float(z) for (effects, _), z in zip(listed, total, strict=True)}
@@ -225,4 +212,4 @@ def screen(about: Linear, catalogue: Catalogue, columns: Array, scales: Array, w
     cache: dict[str, list[Term]] = {}
     hypotheses = [(e, hypothesis_terms(catalogue, e, cache)) for e in [(), *singles_and_pairs(names)]]
     found = weigh(about, columns, scales, weights, hypotheses)
-    return {e: z + log_prior(e, names) for e, z in found.items()}
+    return {e: z + evidence.log_prior(e, names) for e, z in found.items()}

@@ -22,9 +22,8 @@ from scipy.ndimage import maximum_filter
 from benchsim.diagnosis import degeneracy, evidence, linear, screen, settings
 from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.evidence import Term
-from benchsim.diagnosis.fits import LARGEST, Effects
 from benchsim.diagnosis.fitting import RENEWALS, Start, as_it_stands, fitted, misses
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, Solved, values
+from benchsim.diagnosis.hypothesis import LARGEST, Context, Effects, Hypothesis, Point, Solved, values
 from benchsim.diagnosis.places import Place, unseen, valleys, whole
 from benchsim.diagnosis.screen import Catalogue
 
@@ -99,7 +98,7 @@ class Search:
         self.bending = frozenset(n for n in self.names if _bends(self, n))
 
     def prior(self, effects: Effects) -> float:
-        return screen.log_prior(effects, list(self.names))
+        return evidence.log_prior(effects, list(self.names))
 
     def hypothesis(self, effects: Effects) -> Hypothesis:
         return Hypothesis(tuple(self.catalogue.effects[e] for e in effects))
@@ -155,7 +154,11 @@ def search(
 def begun(s: Search) -> dict[Effects, Begun]:
     """Where the fits of a search ended, for one with other noise."""
     p = len(s.context.problem.nuisances)
-    return {e: Begun(x.point, _scale(s, x), s.context.whiten.undone(x.columns[:, :p])) for e, x in s.done.items() if e}
+    return {
+        e: Begun(x.point, _scale(s, x), linear.raised(s.context.lower, x.columns[:, :p]))
+        for e, x in s.done.items()
+        if e
+    }
 
 
 def _wholes(s: Search) -> list[Effects]:
@@ -287,7 +290,7 @@ def _either(s: Search, h: Hypothesis, kept: Mapping[str, Place], name: str) -> l
 def _anew(s: Search, parent: Solved, name: str) -> list[Place]:
     """Where an effect might begin beside the effects of a fit, but at the stated settings."""
     point = replace(parent.point, nuisance=np.zeros_like(parent.point.nuisance))
-    nuisance = s.context.whiten.undone(s.stated.columns[:, : len(point.nuisance)])
+    nuisance = linear.raised(s.context.lower, s.stated.columns[:, : len(point.nuisance)])
     about = as_it_stands(s.context, s.hypothesis(parent.fit.effects), point, nuisance)
     return _places(s, about, [name])[name][:VALLEYS]
 

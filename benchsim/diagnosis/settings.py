@@ -9,11 +9,15 @@ evidence itself weighs whether something is missing or whether settings are furt
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from benchsim.diagnosis.linear import Linear, Marginal, precision, through
+from benchsim.diagnosis import evidence
+from benchsim.diagnosis.evidence import Term
+from benchsim.diagnosis.linear import Linear, marginals
 from benchsim.diagnosis.problem import Effect, Parameter
 
 Array = NDArray[np.float64]
@@ -58,28 +62,19 @@ def parted(scales: Array, log_scales: Array) -> tuple[float, float]:
     return float(logsumexp(log_scales[~far])), float(logsumexp(log_scales[far]))
 
 
-def marginals(linear: Linear, columns: Array, scales: Array) -> tuple[Marginal, ...]:
-    """`linear.marginal` at every scale, the products of long arrays taken once.
+def log_cells(linear: Linear, columns: Array, scales: Array, weights: Array, terms: Sequence[Term]) -> Array:
+    """ln Z of every (setting scale, term), (m, T), without the prior of presence.
 
     Parameters
     ----------
     linear : Linear
     columns : (n, k) array
-        Whitened.
-    scales : (m,) array
+        Whitened; what the terms' column numbers mean.
+    scales, weights : (m,) array
+    terms : sequence of T terms
     """
-    both = np.column_stack([linear.residual, columns])
-    own, cross, square = linear.nuisance.T @ linear.nuisance, linear.nuisance.T @ both, both.T @ both
-    out = []
-    for scale in scales:
-        s = np.where(linear.scaled, scale, 1.0)
-        factor = precision(linear.nuisance, s, own)
-        product = through(linear.nuisance, s, both, factor, cross, square)
-        logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum()) + linear.logdet
-        out.append(Marginal(product[1:, 1:], product[1:, 0], float(product[0, 0]), logdet, len(both)))
-    return tuple(out)
-
-
-def log_null(many: tuple[Marginal, ...], weights: Array) -> Array:
-    """ln of weight × likelihood of the data without amplitudes, at every scale, (m,)."""
-    return np.array([-0.5 * (m.chi2 + m.logdet + m.n * np.log(2 * np.pi)) for m in many]) + np.log(weights)
+    many = marginals(linear, columns, scales)
+    null = np.array([-0.5 * (m.chi2 + m.logdet + m.n * np.log(2 * np.pi)) for m in many]) + np.log(weights)
+    gram, projection = np.stack([m.gram for m in many]), np.stack([m.projection for m in many])
+    cells = evidence.log_factors(gram, projection, terms) + np.array([t.log_weight for t in terms])
+    return np.asarray(cells + null[:, None])

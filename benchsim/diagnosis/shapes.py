@@ -22,7 +22,7 @@ from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.discrepancy import absorb
-from benchsim.diagnosis.fits import Fit
+from benchsim.diagnosis.hypothesis import Fit
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
 Array = NDArray[np.float64]

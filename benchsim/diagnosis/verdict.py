@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchsim.diagnosis import settings
+from benchsim.diagnosis.cross_validation import BETTER
 from benchsim.diagnosis.degeneracy import LIKELY, SURE, Claim, Weighed
 from benchsim.diagnosis.discrepancy import Attached
-from benchsim.diagnosis.fits import Fit
-from benchsim.diagnosis.predictive import BETTER
+from benchsim.diagnosis.hypothesis import Fit
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.remainder import Remainder
 from benchsim.diagnosis.result import CONFIDENCES, Found, Location, Size

@@ -14,8 +14,8 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.diagnosis import evidence
 from benchsim.diagnosis.degeneracy import CLOSE, bounds
 from benchsim.diagnosis.fitting import RENEWALS, Start, fitted
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, whitener
-from benchsim.diagnosis.linear import Linear, columns, fit_value, linearise, predict_all, value_of, whiten
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point
+from benchsim.diagnosis.linear import Linear, columns, factors, fit_value, linearise, predict_all, value_of, whiten
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.screen import Catalogue, expand
 
@@ -260,7 +260,7 @@ def _distance(
     Infinite where a parameter of ``caps`` ends beyond them.
     """
     h = Hypothesis(tuple(e for e in problem.catalogue if e.name in names))
-    context = Context(replace(problem, data=data), whitener(problem.covariance), np.ones(1), np.ones(1))
+    context = Context(replace(problem, data=data), factors(problem.covariance), np.ones(1), np.ones(1))
     start = Point(
         np.zeros(len(problem.nuisances)),
         np.array([fit_value(p, begin[p.name]) for p in h.amplitudes]),

@@ -11,8 +11,8 @@ from toy import toy
 
 from benchsim.diagnosis import discrepancy, naming
 from benchsim.diagnosis.discrepancy import kernel_root
+from benchsim.diagnosis.evidence import PRESENCE
 from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
-from benchsim.diagnosis.screen import PRESENCE
 
 SNR_ONE = {"bow": 1 / 89.6, "lean": 1 / 58.2, "creep": 1 / 6.11}
 """Size of each effect at a whitened norm of 1 once the settings are marginalised."""

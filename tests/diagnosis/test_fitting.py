@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from benchsim.diagnosis import linear, name, settings
+from benchsim.diagnosis import evidence, linear, name, settings
 from benchsim.diagnosis.fitting import STILL, Start, fitted
-from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point, whitener
+from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point
 
 BY_NAME = {e.name: e for e in lines.CATALOGUE}
 
 
 def context_of(problem):
-    return Context(problem, whitener(problem.covariance), *settings.grid())
+    return Context(problem, linear.factors(problem.covariance), *settings.grid())
 
 
 def starts_of(problem, effects, shape=(), size=0.0, wrong=1.0):
@@ -78,8 +78,9 @@ def test_laplace_evidence_against_integration_over_a_nonlinear_amplitude():
     logs = []
     for value in grid:
         lin = linear.linearise(problem, {**end.fit.values, "turn": value}, ())
-        many = settings.marginals(lin, np.zeros((len(problem.data), 0)), context.scales)
-        logs.append(np.logaddexp.reduce(settings.log_null(many, context.weights)) - 0.5 * (value / prior) ** 2)
+        nothing = [evidence.term([], 0.0)]
+        cells = settings.log_cells(lin, np.zeros((len(problem.data), 0)), context.scales, context.weights, nothing)
+        logs.append(np.logaddexp.reduce(cells[:, 0]) - 0.5 * (value / prior) ** 2)
     total = np.logaddexp.reduce(logs) + np.log(grid[1] - grid[0]) - 0.5 * np.log(2 * np.pi * prior**2)
     assert end.fit.log_evidence == pytest.approx(total, abs=5e-2)
 

@@ -56,7 +56,7 @@ def test_what_long_columns_leave_beside_the_nuisances_is_not_rounding():
     columns = nuisance[:, :2] + odd * [3.0, 5.0]
     lin = linear.Linear(odd[:, 0] * 7.0, nuisance, np.ones(4, bool), columns, ("a", "b"), np.zeros(n, int), 0.0)
     left = np.diag([9.0 + 1.0, 25.0 + 1.0])
-    for found in (linear.marginal(lin, columns), *settings.marginals(lin, columns, np.array([1.0]))):
+    for found in (linear.marginal(lin, columns), *linear.marginals(lin, columns, np.array([1.0]))):
         np.testing.assert_allclose(found.gram, left, rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(found.projection, [21.0, 0.0], rtol=1e-5, atol=1e-5)
         assert found.chi2 == pytest.approx(49.0)
@@ -100,7 +100,7 @@ def test_all_scales_at_once_are_each_scale_alone(about):
     _, _, lin = about
     scales, weights = settings.grid()
     assert weights.sum() == pytest.approx(1.0) and scales[0] == 1.0 and (np.diff(weights) < 0).all()
-    for scale, many in zip(scales, settings.marginals(lin, lin.effect, scales), strict=True):
+    for scale, many in zip(scales, linear.marginals(lin, lin.effect, scales), strict=True):
         one = linear.marginal(lin, lin.effect, scale)
         np.testing.assert_allclose(many.gram, one.gram, rtol=1e-8, atol=1e-7)
         np.testing.assert_allclose(many.projection, one.projection, rtol=1e-6, atol=1e-6)

@@ -82,7 +82,7 @@ def test_screened_evidence_against_integration_over_everything():
             edge = np.where((a == 0) | (a == a[-1]), 0.5, 1.0)
             log_prior = np.log(2 * edge) - 0.5 * (a / 0.8) ** 2 - 0.5 * np.log(2 * np.pi * 0.8**2)
             total = np.array(total) + log_prior + np.log(a[1] - a[0])
-        presence = np.log(screen.PRESENCE) if hypothesis else np.log1p(-screen.PRESENCE)
+        presence = np.log(evidence.PRESENCE) if hypothesis else np.log1p(-evidence.PRESENCE)
         assert found[hypothesis] == pytest.approx(logsumexp(total) + presence, abs=1e-2)
 
 

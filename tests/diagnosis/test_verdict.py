@@ -9,7 +9,7 @@ from toy import toy
 from benchsim.diagnosis import settings
 from benchsim.diagnosis.degeneracy import Claim, Weighed
 from benchsim.diagnosis.discrepancy import Attached
-from benchsim.diagnosis.fits import Fit
+from benchsim.diagnosis.hypothesis import Fit
 from benchsim.diagnosis.remainder import Family, Remainder
 from benchsim.diagnosis.result import VERDICTS, Location
 from benchsim.diagnosis.verdict import Findings, Further, confidence, found, verdict
