@@ -54,8 +54,7 @@ def name(problem: Problem, progress: Progress | None = None) -> Naming:
     if not np.isfinite(as_stated).all():
         raise ValueError("the simulation predicts no finite value for some data as stated; leave such data out")
     columns = linear.columns(problem, {}, problem.nuisances) * sigma
-    largest = float(settings.grid()[0][-1])
-    found = noise.estimate(problem, problem.data - as_stated, columns * largest)
+    found = noise.estimate(problem, problem.data - as_stated, columns * settings.LARGEST)
     context = _context(problem, found)
     (rough,) = _null(context, [nothing], columns)
     tell("differentiating the effects", 0.15)
@@ -91,8 +90,12 @@ def _check(problem: Problem) -> None:
         raise ValueError("a covariance of the problem is not finite; leave such data out")
 
 
+def _scales(problem: Problem) -> tuple[Array, Array]:
+    return settings.grid(any(p.scaled for p in problem.nuisances))
+
+
 def _context(problem: Problem, found: Noise) -> Context:
-    return Context(problem, linear.factors(found.covariance), *settings.grid())
+    return Context(problem, linear.factors(found.covariance), *_scales(problem))
 
 
 def _null(context: Context, points: Sequence[Point], columns: Array) -> list[Solved]:
@@ -105,14 +108,13 @@ def _null(context: Context, points: Sequence[Point], columns: Array) -> list[Sol
 def _removed(problem: Problem, catalogue: Catalogue, nuisance: Array) -> Array:
     """What noise is not to be estimated from: what settings at their largest scale, effects and functions could do."""
     scaled = np.array([n.scaled for n in problem.nuisances], bool)
-    largest = float(settings.grid()[0][-1])
     size = np.ones(catalogue.columns.shape[1])
     for effect in problem.catalogue:
         sigma = [p.sigma**p.power for p in evidence.amplitudes(effect)]
         for node in catalogue.nodes[effect.name]:
             size[list(node.columns)] = sigma
     return np.column_stack(
-        [nuisance * np.where(scaled, largest, 1.0), catalogue.columns * size, *smooth_functions(problem)]
+        [nuisance * np.where(scaled, settings.LARGEST, 1.0), catalogue.columns * size, *smooth_functions(problem)]
     )
 
 
@@ -129,4 +131,4 @@ def _naming(problem: Problem, seen: Search, found: Noise) -> Naming:
     screened = sorted(((e, v, seen.source[e]) for e, v in seen.log_z.items() if e), key=lambda item: -item[1])
     null = seen.done[()]
     linear = whole(problem, seen.catalogue, seen.white, null)
-    return Naming(null.fit, tuple(fits), tuple(screened), linear, found, *settings.grid())
+    return Naming(null.fit, tuple(fits), tuple(screened), linear, found, *_scales(problem))

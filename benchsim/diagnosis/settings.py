@@ -42,9 +42,10 @@ EFFECT = Effect(
 """As it is told; it has no column in the data."""
 
 
-def grid(largest: float = LARGEST, count: int = 9) -> tuple[Array, Array]:
-    """Scales (m,), evenly spaced in their logarithm from 1, and prior weights whose sum is 1."""
-    scales = np.geomspace(1.0, largest, count)
+def grid(scaled: bool = True) -> tuple[Array, Array]:
+    """Scales (m,), evenly spaced in their logarithm from 1, and prior weights whose sum is 1; 1 alone where no nuisance
+    is ``scaled``."""
+    scales = np.geomspace(1.0, LARGEST, 9 if scaled else 1)
     weights = np.exp(-0.5 * (np.log(scales) / SPREAD) ** 2)
     return scales, weights / weights.sum()
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from benchsim.diagnosis.problem import Effect, Parameter
 from benchsim.instruments.mount.records import Mount, Records
 
@@ -179,6 +181,10 @@ CATALOGUE: tuple[Entry, ...] = (
 )
 """Effects in the order of the light: mount, target, sky, time."""
 
+MOST_PLACES = 160
+"""Places at which a change is looked for: with one for every record the work would grow as their square. Among a
+thousand records a change is found to three."""
+
 FEWEST_FOR_CHANGE = 8
 """Records without which no change can be told from chance."""
 
@@ -214,8 +220,11 @@ def candidates(mount: Mount, records: Records, *, every: bool = False) -> tuple[
 
 
 def changes(count: int) -> tuple[float, ...]:
-    """Places of a change among so many records: between two each, three or more on either side."""
-    return tuple(k + 0.5 for k in range(2, count - 3))
+    """Places of a change among so many records: between two each, or `MOST_PLACES`; three or more on either side."""
+    last = count - 4
+    if last < 2:
+        return ()
+    return tuple(float(k) + 0.5 for k in np.unique(np.linspace(2, last, min(last - 1, MOST_PLACES)).round()))
 
 
 def targets(mount: Mount, records: Records) -> tuple[str, ...]:
