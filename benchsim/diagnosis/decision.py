@@ -65,7 +65,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     free = _weigh(problem, naming, prepared, naming.null, best.fit)
     more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
     gain = more[0].log_evidence - best.fit.log_evidence if more else 0.0
-    beside = gain > verdict.MISSING and not problem.judged_forward
+    beside = gain > degeneracy.MISSING and not problem.judged_forward
     if beside:
         # What has no name is there besides: which names are, is asked beside it.
         first, notes = best, []

@@ -32,6 +32,9 @@ COST = 0.5 * CLOSE**2
 SURE, LIKELY = 0.99, 0.9
 """Probabilities at which an effect is named, and is probable."""
 
+MISSING = float(np.log(SURE / (1 - SURE)))
+"""Δ ln Z at which something shows that something is missing."""
+
 SUSPECTED = 1 / 3
 """Probability of an effect that is not claimed from which on it is an open alternative to nothing."""
 
@@ -269,7 +272,7 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
     near = {h for h in others if h in apart and apart[h] < CLOSE}
     near |= {h for h in others if h in hypotheses.refitted and z[best] - z[h] < COST}
     if hypotheses.probability([best]) < LIKELY:
-        near |= {h for h in others if z[best] - z[h] < float(np.log(SURE / (1 - SURE)))}
+        near |= {h for h in others if z[best] - z[h] < MISSING}
     rivals = [h for h in near if not any(set(o) < set(h) and z[o] >= z[h] for o in near)]
     rivals.sort(key=lambda h: -z[h])
     nearest = min(apart.values(), default=float("inf"))

@@ -24,20 +24,15 @@ from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.hypothesis import Fit, Naming
 from benchsim.diagnosis.linear import Linear, marginal, precision, predict_all, whiten
 from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.remainder import ALARM
 from benchsim.diagnosis.result import Location, Stretch
-from benchsim.diagnosis.verdict import Findings
+from benchsim.diagnosis.verdict import LEFT, Findings
 
 Array = NDArray[np.float64]
 
 CLAIM = 8.0
 """Δ ln Z over every other element at which one is claimed: how long and how rough functions are is only guessed, which
 makes some of it."""
-
-FAMILY_WISE = 0.01
-"""Rate at which a recording without anything missing shows a stretch at all."""
-
-LITTLE = 0.05
-"""Part of a misfit's excess χ² that a location may leave unexplained."""
 
 _SHORTEST = 3
 
@@ -114,7 +109,7 @@ def scan(
     taken = np.zeros(len(problem.data), bool)
     for k in np.argsort(-np.abs(z)):
         b, members, _ = windows[k]
-        if chance[k] > FAMILY_WISE:
+        if chance[k] > ALARM:
             break
         if taken[members].any():
             continue
@@ -251,7 +246,7 @@ def _unexplained(with_it: Linear, scale: float, base: Linear, base_scale: float)
         return m.chi2 - m.n
 
     before, after = excess(base, base_scale), max(excess(with_it, scale), 0.0)
-    return 0.5 * after if after < LITTLE * before else np.inf
+    return 0.5 * after if after < LEFT * before else np.inf
 
 
 def winner(findings: Findings, place: Location | None) -> Attached | None:

@@ -26,7 +26,7 @@ from benchsim.diagnosis.problem import Problem
 Array = NDArray[np.float64]
 
 ALARM = 0.01
-"""Rate of false alarms of `remainder` at which something is said to be left."""
+"""Rate of false alarms at which something is said to be left, and of stretches of a trace where it lies."""
 
 MODES = 12
 """Of a family that are looked at by themselves; all together are looked at besides, for what is not so smooth."""

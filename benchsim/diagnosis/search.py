@@ -31,7 +31,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 MATTERS, IDLE = 6.0, 1.5
-"""ln Z behind the best at which what was only weighed is left at that, and the same for what was weighed about a good
+"""ln Z behind the best from which on what was only weighed is left at that, and what was fitted without exact
+derivatives (what may be a member of a class is nearer); and the same for what was weighed about a good
 fit of fewer effects: that linearisation is the right one unless what is added is large, and then it is not behind."""
 
 AT_ONCE, ROUNDS = 8, 8
@@ -56,9 +57,6 @@ SQUARE, NOTICED = 0.25, 3.0
 
 SIZES = (0.25, 0.5, 1.0, 2.0)
 """Prior sigmas to either side at which what bends the data is tried."""
-
-EXACT = 6.0
-"""ln Z behind the best within which derivatives are made exact: what may be a member of a class, and some."""
 
 
 @dataclass(frozen=True)
@@ -401,7 +399,7 @@ def _settle(s: Search) -> None:
     """Make the derivatives of what matters exact."""
     for _ in range(2):
         top = s.best().fit.log_evidence
-        _exactly(s, [e for e, x in s.done.items() if not x.exact and x.fit.log_evidence > top - EXACT])
+        _exactly(s, [e for e, x in s.done.items() if not x.exact and x.fit.log_evidence > top - MATTERS])
 
 
 def _exactly(s: Search, sets: Sequence[Effects]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchsim.diagnosis import settings
 from benchsim.diagnosis.cross_validation import BETTER
-from benchsim.diagnosis.degeneracy import LIKELY, SURE, Claim, Weighed
+from benchsim.diagnosis.degeneracy import LIKELY, MISSING, SURE, Claim, Weighed
 from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.hypothesis import Fit
 from benchsim.diagnosis.problem import Effect, Problem
@@ -32,11 +32,8 @@ has none it costs about a quarter; at 0.2 a ripple of 64 sigma had a plume in it
 CERTAIN = CONFIDENCES[:2]
 
 LEFT = 0.05
-"""Part of what the names removed that may be left without changing the verdict: a name that stands for nearly all may
-be right beside a model that is not perfect."""
-
-MISSING = float(np.log(SURE / (1 - SURE)))
-"""Δ ln Z at which something shows that something is missing."""
+"""Part of what the names removed, or of a misfit that is placed, that may be left without changing the verdict: what
+stands for nearly all may be right beside a model that is not perfect."""
 
 UNSURE = 0.05
 """Probability of setting errors from which on nothing is said to be missing."""

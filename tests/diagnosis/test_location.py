@@ -7,7 +7,8 @@ from test_remainder import draws
 from toy import toy
 
 from benchsim.diagnosis.linear import linearise
-from benchsim.diagnosis.location import FAMILY_WISE, Explanation, by_kind, locate, scan
+from benchsim.diagnosis.location import Explanation, by_kind, locate, scan
+from benchsim.diagnosis.remainder import ALARM
 
 
 def test_an_element_is_claimed_over_every_other_one():
@@ -31,7 +32,7 @@ def test_clean_lines_show_a_stretch_no_more_often_than_stated():
         for r in draws(problem, linear, 300, 3)
     )
     # At the stated 1 %, 9 or more of 300 happen once in 250 times.
-    assert FAMILY_WISE == 0.01
+    assert ALARM == 0.01
     assert hits < 9
 
 
