@@ -44,9 +44,10 @@ def test_lists_give_what_single_values_give(problem):
 
 
 def test_a_list_may_hold_values_without_light_and_values_that_no_element_takes(problem):
-    values = [{}, {f"{problem.groups[0]}.laser_elevation": 9e2}, {"glass": -1.0}, {"pyr": 1.0}]
-    plain, beside, impossible, canted = problem.predict(values, 0)
-    assert (beside == FAR).all() and (impossible == FAR).all()
+    values = [{}, {f"{problem.groups[0]}.laser_elevation": 9e2}, {"glass": -1.0}, {"p1": 0.5, "p2": 0.5}, {"pyr": 1.0}]
+    plain, beside, impossible, lens, canted = problem.predict(values, 0)
+    # With such a lens lines of sight turn away from the board.
+    assert (beside == FAR).all() and (impossible == FAR).all() and (lens == FAR).all()
     np.testing.assert_allclose(plain, problem.predict({}, 0), atol=1e-9)
     np.testing.assert_allclose(canted, problem.predict({"pyr": 1.0}, 0), atol=1e-9)
 

@@ -257,7 +257,8 @@ class Predict:
             parts = np.split(points, np.cumsum([len(light) for light in beside])[:-1])
             for i, k in zip(members, range(0, len(parts), len(aside)), strict=True):
                 stretch: Array | float = 1.0
-                if len(aside) > 1:
+                # A line of sight that misses the board reads nothing, and has no tangent.
+                if len(aside) > 1 and np.isfinite(parts[k]).all():
                     across = left_of(tangents(parts[k]))
                     stretch = ((parts[k + 1] - parts[k + 2]) * across).sum(axis=1) / (2 * ASIDE)
                 out[i] = Measured(parts[k], residual, stretch)
