@@ -178,8 +178,8 @@ def _next(s: Search) -> list[Effects]:
     # A smaller set that looks better from here than it was fitted ended in another valley.
     foretold = {} if misses(best) else log_z_about(s, best, drops)
     again = [e for e, z in foretold.items() if e in s.done and z > max(s.done[e].fit.log_evidence + 1, top - MATTERS)]
-    # What two effects still miss is not looked for blindly: a third takes most of the time there, and gains nothing.
-    hidden = strayed(s.context, best) and len(own) < (2 if misses(best) else LARGEST)
+    # Beside two effects a third that was tried blindly took most of the time and gained nothing.
+    hidden = strayed(s.context, best) and len(own) < 2
     more = [s.ordered((*own, n)) for n in s.names if n not in own] if hidden else []
     wanted = [e for e in (*drops, *_rivals(s, best), *more) if e not in s.done]
     weighed = [e for e in s.log_z if e not in s.done and s.log_z[e] > top - _margin(s, e)]
