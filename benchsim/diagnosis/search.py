@@ -22,7 +22,7 @@ from scipy.ndimage import maximum_filter
 from benchsim.diagnosis import degeneracy, evidence, linear, screen, settings
 from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.evidence import Term
-from benchsim.diagnosis.fitting import RENEWALS, SLOW, Start, as_it_stands, excess, fitted, misses
+from benchsim.diagnosis.fitting import RENEWALS, Start, as_it_stands, fitted, misses
 from benchsim.diagnosis.hypothesis import LARGEST, Context, Effects, Hypothesis, Point, Solved, values
 from benchsim.diagnosis.places import Place, unseen, valleys, whole
 from benchsim.diagnosis.screen import Catalogue
@@ -138,14 +138,9 @@ def search(
     if strayed(context, null):
         # How settings act changes with what bends the data: without exact derivatives such a fit gets lost.
         _exactly(s, [(n,) for n in s.names if n in s.bending])
-    missed = np.inf
     for turn in range(ROUNDS):
         tell(f"fitting {' + '.join(s.best().fit.effects) or 'settings'} and its like", 0.5 + 0.4 * turn / ROUNDS)
         _settle(s)
-        before, missed = missed, excess(s.best().residual)
-        if missed > (1 - SLOW) * before:
-            # Far from any fit, and no nearer: what is there is no set of the catalogue.
-            break
         chosen = _next(s)
         if not chosen:
             break
@@ -178,8 +173,7 @@ def _next(s: Search) -> list[Effects]:
     # A smaller set that looks better from here than it was fitted ended in another valley.
     foretold = {} if misses(best) else log_z_about(s, best, drops)
     again = [e for e, z in foretold.items() if e in s.done and z > max(s.done[e].fit.log_evidence + 1, top - MATTERS)]
-    # Beside two effects a third that was tried blindly took most of the time and gained nothing.
-    hidden = strayed(s.context, best) and len(own) < 2
+    hidden = strayed(s.context, best) and len(own) < LARGEST
     more = [s.ordered((*own, n)) for n in s.names if n not in own] if hidden else []
     wanted = [e for e in (*drops, *_rivals(s, best), *more) if e not in s.done]
     weighed = [e for e in s.log_z if e not in s.done and s.log_z[e] > top - _margin(s, e)]
