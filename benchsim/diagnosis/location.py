@@ -23,7 +23,7 @@ from benchsim.diagnosis.degeneracy import Best, Weighed
 from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.hypothesis import Fit, Naming
 from benchsim.diagnosis.linear import Linear, marginal, precision, predict_all, whiten
-from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.problem import Attachment, Problem
 from benchsim.diagnosis.remainder import ALARM
 from benchsim.diagnosis.result import Location, Stretch
 from benchsim.diagnosis.verdict import LEFT, Findings
@@ -203,6 +203,7 @@ def place(
         coordinate.setdefault(a.element, a.coordinate)
         with_it, rest_of_it = remainder.beside(problem, naming, laid, modes)
         left = 0.0 if rest_of_it.acceptable else _unexplained(with_it, laid.scale, ground, base.setting_scale)
+        left = np.inf if anew(problem, a) else left
         explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, left))
     if not rest:
         element = {e.name: e.element for e in problem.catalogue}
@@ -227,6 +228,17 @@ def place(
     seen = (problem, ground, covariance, on.setting_scale)
     shown = {} if signal is None else by_kind(*seen, signal)
     return replace(there, along_trace=scan(*seen, signal), by_kind=shown)
+
+
+def anew(problem: Problem, a: Attachment) -> bool:
+    """Whether every independent part of a function acts on one block alone.
+
+    Nothing else that was recorded could contradict it, so that it imitates whatever moves: it may be what is there, but
+    no place is claimed for it.
+    """
+    acts = np.array([(a.basis[problem.rows(b)] != 0).any(axis=0) for b in range(len(problem.names))])
+    parts = np.array([acts[:, a.component == c].any(axis=1) for c in np.unique(a.component)])
+    return len(problem.names) > 1 and bool((parts.sum(axis=1) <= 1).all())
 
 
 def _signal(problem: Problem, findings: Findings, rest: bool, on: Fit) -> Array | None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy import toy
+from toy import NOISE, POINTS, hats, toy
 
 from benchsim.diagnosis import diagnose, naming
 from benchsim.diagnosis.decision import judge
@@ -183,3 +183,23 @@ def test_an_effect_in_whose_place_settings_could_be_further_off_is_left_open(lea
     judged = judge(problem, replace(naming_, fits=fits))
     assert judged.best.claim.lone == ("bow",)
     assert {m for c in judged.best.claim.classes for m in c} == {("creep",), ("setting-errors",)}
+
+
+def test_what_is_new_in_every_block_has_no_place():
+    """Light that wanders by six sigma, along each line in its own way; a function without a place may say just that."""
+    problem = toy(seed=21)
+    rng, knots = np.random.default_rng(7), np.linspace(-1, 1, 13)
+    data, basis = problem.data.copy(), np.zeros((len(problem.data), 13 * len(problem.names)))
+    for b in range(len(problem.names)):
+        rows = slice(problem.rows(b).start, problem.rows(b).start + POINTS)
+        basis[rows, 13 * b : 13 * b + 13] = hats(knots, np.linspace(-1, 1, POINTS))
+        data[rows] += 6 * NOISE * np.cos(4 * np.linspace(-1, 1, POINTS) + rng.uniform(0, 2 * np.pi))
+    height = problem.attachments[0]
+    each = np.repeat(np.arange(len(problem.names)), 13)
+    anew = replace(
+        height, name="time.anew", element="time", coordinate="x, anew in every line", basis=basis,
+        knots=np.tile(knots, len(problem.names))[:, None], component=each,
+    )  # fmt: skip
+    d = diagnose(replace(problem, data=data, attachments=(*problem.attachments, anew)))
+    assert d.verdict == "unexplained" and d.effects == () and d.law is None
+    assert d.location.element == "time" and not d.location.claimed
