@@ -201,9 +201,10 @@ def place(
     for laid in findings.more if rest else findings.free:
         a = laid.attachment
         coordinate.setdefault(a.element, a.coordinate)
-        with_it, rest_of_it = remainder.beside(problem, naming, laid, modes)
-        left = 0.0 if rest_of_it.acceptable else _unexplained(with_it, laid.scale, ground, base.setting_scale)
-        left = np.inf if anew(problem, a) else left
+        left = np.inf
+        if not anew(problem, a):
+            with_it, rest_of_it = remainder.beside(problem, naming, laid, modes)
+            left = 0.0 if rest_of_it.acceptable else _unexplained(with_it, laid.scale, ground, base.setting_scale)
         explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, left))
     if not rest:
         element = {e.name: e.element for e in problem.catalogue}

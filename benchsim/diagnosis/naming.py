@@ -90,12 +90,8 @@ def _check(problem: Problem) -> None:
         raise ValueError("a covariance of the problem is not finite; leave such data out")
 
 
-def _scales(problem: Problem) -> tuple[Array, Array]:
-    return settings.grid(any(p.scaled for p in problem.nuisances))
-
-
 def _context(problem: Problem, found: Noise) -> Context:
-    return Context(problem, linear.factors(found.covariance), *_scales(problem))
+    return Context(problem, linear.factors(found.covariance), *settings.grid(any(p.scaled for p in problem.nuisances)))
 
 
 def _null(context: Context, points: Sequence[Point], columns: Array) -> list[Solved]:
@@ -131,4 +127,4 @@ def _naming(problem: Problem, seen: Search, found: Noise) -> Naming:
     screened = sorted(((e, v, seen.source[e]) for e, v in seen.log_z.items() if e), key=lambda item: -item[1])
     null = seen.done[()]
     linear = whole(problem, seen.catalogue, seen.white, null)
-    return Naming(null.fit, tuple(fits), tuple(screened), linear, found, *_scales(problem))
+    return Naming(null.fit, tuple(fits), tuple(screened), linear, found, seen.context.scales, seen.context.weights)
