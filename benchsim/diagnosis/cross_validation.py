@@ -1,10 +1,9 @@
 """Settings that were not fitted, predicted: the choice of effect is made anew without them.
 
-In each fold noise, setting scale, choice of effect (every single, every pair and what grows from the best of them, and
-every attachment, against the null) and
-amplitudes come from the other settings alone. The left-out data r, whitened with a covariance that the other settings
-gave, are N(A â, 1 + N S² Nᵀ) with their own nuisances N at their priors, so χ² less the number of data has expectation
-0 where nothing is missing and variance 2 n; the sum is not clipped.
+In each fold noise, setting scale, choice of effect (every set that the search weighed, and every attachment, against
+the null) and amplitudes come from the other settings alone. The left-out data r, whitened with a covariance that the
+other settings gave, are N(A â, 1 + N S² Nᵀ) with their own nuisances N at their priors, so χ² less the number of data
+has expectation 0 where nothing is missing and variance 2 n; the sum is not clipped.
 
 All folds work on the linearisation that the whole problem was given. A point to expand about carries no information
 to first order: what a fold learns of the amplitudes it learns from its own residuals. Shape parameters (a place, a
@@ -24,12 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
-from benchsim.diagnosis import evidence, screen
 from benchsim.diagnosis import noise as noises
+from benchsim.diagnosis import screen
 from benchsim.diagnosis.degeneracy import estimate, space
 from benchsim.diagnosis.discrepancy import Attached, Prepared, kernel_root, prepare, smooth_functions, weigh, whitened
-from benchsim.diagnosis.evidence import Term
-from benchsim.diagnosis.hypothesis import LARGEST, Effects, Fit, Naming, Noise
+from benchsim.diagnosis.hypothesis import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, only, precision, raised, whiten
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import HeldOut
@@ -194,9 +192,8 @@ def choose(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> tupl
         {e.name: e for e in problem.catalogue}, nodes, train.effect, np.zeros_like(train.effect)
     )
     scales, weights = fold.naming.setting_scales, fold.naming.scale_weights
-    found = screen.screen(train, catalogue, train.effect, scales, weights)
-    named = max(found, key=lambda h: found[h])
-    found |= _larger(train, catalogue, fold, named)
+    sets = [(), *(effects for effects, _, _ in fold.naming.screened)]
+    found = screen.screen(train, catalogue, train.effect, scales, weights, sets)
     named = max(found, key=lambda h: found[h])
     # About the same point as the names: else they would be weighed on two different scales.
     plain = replace(fold.linear, effect=fold.linear.effect[:, :0], names=())
@@ -205,25 +202,6 @@ def choose(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> tupl
     if laid and laid[0].log_evidence > found[named]:
         return (), laid[0]
     return named, None
-
-
-def _larger(train: Linear, catalogue: screen.Catalogue, fold: Fold, best: Effects) -> dict[Effects, float]:
-    """ln Z of sets that grow from the most probable pair by what helps most, while it helps."""
-    names = list(catalogue.effects)
-    scales, weights = fold.naming.setting_scales, fold.naming.scale_weights
-    cache: dict[str, list[Term]] = {}
-    grown: dict[Effects, float] = {}
-    while 2 <= len(best) < LARGEST:
-        wanted = [tuple(n for n in names if n in best or n == one) for one in names if one not in best]
-        listed = [(e, screen.hypothesis_terms(catalogue, e, cache)) for e in [best, *wanted]]
-        weighed = screen.weigh(train, catalogue.columns, scales, weights, listed)
-        z = {e: v + evidence.log_prior(e, names) for e, v in weighed.items()}
-        top = max(z, key=lambda e: z[e])
-        if top == best:
-            break
-        best = top
-        grown[top] = z[top]
-    return grown
 
 
 def sized(problem: Problem, fold: Fold, about: Linear, effects: Effects) -> tuple[Array, float]:

@@ -1,4 +1,4 @@
-"""Weigh every single and pair of the catalogue by linear algebra alone.
+"""Weigh sets of effects by linear algebra alone.
 
 All hypotheses share the products of the catalogue's columns with the nuisances marginalised (`linear.Marginal`); each
 is then a small integral (`evidence`). Shape parameters are summed over their grid, a random field over its sigma, all
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ class Catalogue:
     bends: Array
 
 
-def _grid_weights(values: tuple[float, ...]) -> Array:
+def grid_weights(values: Sequence[float] | Array) -> Array:
     """Trapezoid weights of a uniform prior over the range of the grid."""
     at = np.asarray(values, float)
     order = np.argsort(at)
@@ -84,7 +84,7 @@ def expand(problem: Problem, at: Values) -> Catalogue:
         if not shape:
             continue
         own, found = evidence.amplitudes(effect), []
-        weights = [_grid_weights(p.grid) for p in shape]
+        weights = [grid_weights(p.grid) for p in shape]
         for place in product(*(range(len(p.grid)) for p in shape)):
             values = {p.name: float(p.grid[i]) for p, i in zip(shape, place, strict=True)}
             log_weight = sum(float(np.log(w[i])) for w, i in zip(weights, place, strict=True))
@@ -110,11 +110,6 @@ def _bends(problem: Problem, points: Sequence[tuple[Values, Sequence[Parameter]]
         if not evidence.kind(p):
             out[:, k] = (next(found) + next(found) - 2 * middle[id(at)]) / (BENT * p.sigma) ** 2
     return np.where(np.isfinite(out), out, 0.0)
-
-
-def singles_and_pairs(names: Sequence[str]) -> list[Effects]:
-    """Every set of one or two, in the catalogue's order."""
-    return [*((n,) for n in names), *combinations(names, 2)]
 
 
 def effect_terms(catalogue: Catalogue, name: str, offset: int = 0) -> list[Term]:
@@ -195,21 +190,23 @@ def weigh(
     return {effects: float(z) for (effects, _), z in zip(listed, total, strict=True)}
 
 
-def screen(about: Linear, catalogue: Catalogue, columns: Array, scales: Array, weights: Array) -> dict[Effects, float]:
-    """ln Z of the null and of all singles and pairs, the prior of their presence included.
+def screen(
+    about: Linear, catalogue: Catalogue, columns: Array, scales: Array, weights: Array, sets: Iterable[Effects]
+) -> dict[Effects, float]:
+    """ln Z of sets of effects, the prior of their presence included.
 
     Parameters
     ----------
     about : Linear
-        At the null's fit.
     catalogue : Catalogue
     columns : (n, K) array
         The catalogue's columns, whitened.
     scales, weights : (m,) array
         Grid of the setting scale.
+    sets : iterable of Effects
+        In the catalogue's order; () is the null.
     """
     names = list(catalogue.effects)
     cache: dict[str, list[Term]] = {}
-    hypotheses = [(e, hypothesis_terms(catalogue, e, cache)) for e in [(), *singles_and_pairs(names)]]
-    found = weigh(about, columns, scales, weights, hypotheses)
+    found = weigh(about, columns, scales, weights, [(e, hypothesis_terms(catalogue, e, cache)) for e in sets])
     return {e: z + evidence.log_prior(e, names) for e, z in found.items()}
