@@ -72,7 +72,7 @@ def scene(rng: np.random.Generator, count: int | None = None) -> Scene:
     sigma = float(np.exp(rng.uniform(np.log(0.3), np.log(2.0))))
     catalogue = effects.candidates(session.mount, session.records)
     predict = mount_problem.predicted(session, catalogue)
-    drift = mount_problem.DRIFT * sigma * mount_problem.drift(session.mount, len(session.records.names))
+    drift = sigma * mount_problem.shared(session.mount, session.records)
     return Scene(session, sigma, posing.problem_of(replace(predict, drift=drift), catalogue, sigma))
 
 

@@ -8,19 +8,23 @@ sigmas,
 
     minimise  Σ 2 (√(1 + r²) − 1) + Σ x²,
 
-of all data exactly, without a stretch by derivatives about that fit; what is left out is predicted exactly. A model is
-judged by the mean of the first sum's terms over data left out. Shapes (the place of a change) stand where the diagnosis
-has them.
+(what acts on some blocks alone, the error that a day's records share, in the first sum like a datum)
+
+by least squares that are weighted anew with 1/√(1 + r²) until nothing moves (Holland & Welsch 1977,
+https://doi.org/10.1080/03610927708827533); of all data exactly, without a stretch by derivatives about that fit; what
+is left out is predicted exactly. A model is judged by the mean of the first sum's terms over data left out. Which
+effects are tried beside a model is foretold by derivatives about it. Shapes (the place of a change) stand where the
+diagnosis has them. Not for parameters that are physical on one side only: no bounds are kept.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.cross_validation import FOLDS, in_turn
@@ -29,8 +33,12 @@ from benchsim.diagnosis.problem import Effect, Parameter, Problem
 
 Array = NDArray[np.float64]
 
-ROUNDS = 8
-"""Steps of a fit; those that matter converge in less."""
+ROUNDS, MOVED = 30, 1e-4
+"""Solutions with new weights, and steps of a fit, at most; and the change, in prior sigmas and as a part of the sum, by
+which they are done."""
+
+TRIED = 3
+"""Effects that are fitted beside a model, of those that are foretold to predict best."""
 
 PER_PARAMETER = 5.0
 """Data for each number that a model fits, at least. With half as many, of sixteen heliostats three with fewer than
@@ -65,31 +73,48 @@ def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tup
     An effect that differs from place to place (targets that hang wrong, each by its own) is not among them: it says
     nothing of a place that no record is of.
     """
-    known: dict[Effects, Model | None] = {}
-    order = [e.name for e in problem.catalogue if not e.random_field]
+    known: dict[Effects, Model] = {}
+    shaped = {e.name: _shapes(naming, e) for e in problem.catalogue if not e.random_field}
+    usable = {e.name: e for e in problem.catalogue if shaped.get(e.name) is not None}
+    most = (1 - 1 / FOLDS) * len(problem.data) / PER_PARAMETER
+    lower = linear.factors(problem.covariance)
 
-    def model(effects: Sequence[str]) -> Model | None:
-        key = tuple(n for n in order if n in effects)
-        if key not in known:
-            known[key] = _model(problem, naming, key)
-        return known[key]
+    def own(effects: Sequence[str]) -> tuple[Parameter, ...]:
+        return (*problem.nuisances, *chain.from_iterable(evidence.amplitudes(usable[n]) for n in effects))
+
+    def model(effects: Effects, start: Mapping[str, float]) -> Model:
+        if effects not in known:
+            shapes = {k: v for n in effects for k, v in (shaped[n] or {}).items()}
+            known[effects] = _model(problem, effects, own(effects), lower, {**start, **shapes})
+        return known[effects]
+
+    def few(effects: Sequence[str]) -> bool:
+        return len(own(effects)) - len(problem.nuisances) <= most
 
     def grown(now: Model) -> Model:
         while len(now.effects) < LARGEST:
-            tried = [m for n in order if n not in now.effects if (m := model((*now.effects, n))) is not None]
+            others = [n for n in usable if n not in now.effects and few([*now.effects, n])]
+            points = [({**now.values, **(shaped[n] or {})}, own([n])[len(problem.nuisances) :]) for n in others]
+            columns = linear.columns_at(problem, [(now.values, own(now.effects)), *points])
+            foretold = [
+                _foretold(problem, lower, now, (*own(now.effects), *p), np.column_stack([columns[0], c]))
+                for c, (_, p) in zip(columns[1:], points, strict=True)
+            ]
+            first = [others[k] for k in np.argsort(foretold)[:TRIED]]
+            tried = [model(tuple(n for n in usable if n in now.effects or n == one), now.values) for one in first]
             top = min(tried, key=lambda m: m.losses.mean(), default=now)
             if not _better(problem, now, top):
                 break
             now = top
         return now
 
-    nothing = model(())
-    assert nothing is not None
+    nothing = model((), {})
     found = grown(nothing)
     for effects in from_these:
-        other = model(effects)
-        if other is not None and _better(problem, found, other):
-            found = grown(other)
+        if set(effects) <= set(usable) and few(effects):
+            other = model(effects, {})
+            if _better(problem, found, other):
+                found = grown(other)
     return nothing, found
 
 
@@ -109,40 +134,41 @@ def _parts(problem: Problem, per_datum: Array) -> list[Array]:
     return [per_datum[stretch == s] for s in range(int(stretch.max()) + 1)]
 
 
-def _model(problem: Problem, naming: Naming, effects: Effects) -> Model | None:
-    chosen = tuple(e for e in problem.catalogue if e.name in effects)
-    own = (*problem.nuisances, *(a for e in chosen for a in evidence.amplitudes(e)))
-    amplitudes = len(own) - len(problem.nuisances)
-    if PER_PARAMETER * amplitudes > (1 - 1 / FOLDS) * len(problem.data):
-        return None
-    shapes = _shapes(naming, chosen)
-    if shapes is None:
-        return None
-    lower = linear.factors(problem.covariance)
-    whole, sigma = fitted(problem, own, lower, shapes), np.array([p.sigma for p in own])
+def _model(
+    problem: Problem, effects: Effects, own: Sequence[Parameter], lower: Sequence[Array], start: Mapping[str, float]
+) -> Model:
+    whole, sigma = fitted(problem, own, lower, start), np.array([p.sigma for p in own])
     at = np.array([whole[p.name] for p in own]) / sigma
-    columns = linear.lowered(lower, linear.columns(problem, whole, own) * sigma)
-    target = _white(problem, lower, whole) + columns @ at
+    columns = linear.lowered(lower, linear.columns(problem, whole, tuple(own)) * sigma)
+    target = _white(problem, lower, [whole])[0] + columns @ at
     stretch = in_turn(problem)[problem.block]
-    losses = np.empty(len(problem.data))
+    many = range(int(stretch.max()) + 1)
+    without = [whole | _named(own, _solved(target[stretch != s], columns[stretch != s], own) * sigma) for s in many]
+    each = loss(np.stack(_white(problem, lower, without)))
+    return Model(effects, whole, each[stretch, np.arange(len(stretch))])
+
+
+def _foretold(problem: Problem, lower: Sequence[Array], now: Model, own: Sequence[Parameter], columns: Array) -> float:
+    """Mean loss of data left out, of a model with more parameters, by derivatives (n, k) about the smaller one."""
+    sigma = np.array([p.sigma for p in own])
+    white = linear.lowered(lower, columns * sigma)
+    at = np.array([now.values.get(p.name, 0.0) for p in own]) / sigma
+    target = _white(problem, lower, [now.values])[0] + white @ at
+    stretch = in_turn(problem)[problem.block]
+    total = 0.0
     for s in range(int(stretch.max()) + 1):
         out = stretch == s
-        x = _linear(target[~out], columns[~out], at, own)
-        losses[out] = loss(_white(problem, lower, whole | _named(own, x * sigma))[out])
-    return Model(effects, whole, losses)
+        total += loss(target[out] - white[out] @ _solved(target[~out], white[~out], own)).sum()
+    return total / len(target)
 
 
-def _shapes(naming: Naming, chosen: Sequence[Effect]) -> dict[str, float] | None:
-    """Where the shapes of some effects stand, in the most probable fit that holds them; None where none does."""
-    out: dict[str, float] = {}
-    for e in chosen:
-        for p in evidence.shapes(e):
-            fit = next((f for f in naming.fits if e.name in f.effects), None)
-            if fit is None:
-                return None
-            out[p.name] = fit.values[p.name]
-        out |= evidence.fixed(e)
-    return out
+def _shapes(naming: Naming, effect: Effect) -> dict[str, float] | None:
+    """Where the shapes of an effect stand, in the most probable fit that holds it; None where none does."""
+    shapes = evidence.shapes(effect)
+    fit = next((f for f in naming.fits if effect.name in f.effects), None)
+    if shapes and fit is None:
+        return None
+    return {p.name: fit.values[p.name] for p in shapes if fit is not None} | evidence.fixed(effect)
 
 
 def loss(white: Array) -> Array:
@@ -150,8 +176,8 @@ def loss(white: Array) -> Array:
     return np.asarray(2 * (np.sqrt(1 + white**2) - 1))
 
 
-def _white(problem: Problem, lower: Sequence[Array], at: Mapping[str, float]) -> Array:
-    return linear.lowered(lower, problem.data - linear.predict_all(problem, at))
+def _white(problem: Problem, lower: Sequence[Array], points: Sequence[Mapping[str, float]]) -> list[Array]:
+    return [linear.lowered(lower, problem.data - f) for f in linear.predict_each(problem, points)]
 
 
 def fitted(
@@ -163,39 +189,42 @@ def fitted(
     def values(x: Array) -> dict[str, float]:
         return {**at, **_named(parameters, x * sigma)}
 
-    found = _robust(
-        lambda x: _white(problem, lower, values(x)),
-        lambda x: linear.lowered(lower, linear.columns(problem, values(x), tuple(parameters)) * sigma),
-        np.array([at.get(p.name, 0.0) for p in parameters]) / sigma,
-        parameters,
-    )
-    return values(found)
+    def total(x: Array) -> tuple[float, Array]:
+        white = _white(problem, lower, [values(x)])[0]
+        return float(loss(white).sum() + np.where(_some(parameters), loss(x), x**2).sum()), white
+
+    x = np.array([at.get(p.name, 0.0) for p in parameters]) / sigma
+    now, white = total(x)
+    for _ in range(ROUNDS):
+        columns = linear.lowered(lower, linear.columns(problem, values(x), tuple(parameters)) * sigma)
+        step = _solved(white + columns @ x, columns, parameters) - x
+        before = now
+        for part in (1.0, 0.3, 0.1):
+            tried, seen = total(x + part * step)
+            if tried < now:
+                x, now, white = x + part * step, tried, seen
+                break
+        if before - now <= MOVED * before:
+            break
+    return values(x)
 
 
-def _robust(
-    white: Callable[[Array], Array], columns: Callable[[Array], Array], start: Array, parameters: Sequence[Parameter]
-) -> Array:
-    """Where Σ loss + Σ x² is least, of whitened residuals and derivatives of the prediction by x."""
-
-    def rest(x: Array) -> Array:
-        # The loss is applied here, so that priors stay normal.
-        r = white(x)
-        return np.concatenate([np.sign(r) * np.sqrt(loss(r)), x])
-
-    def slope(x: Array) -> Array:
-        r = white(x)
-        steep = np.where(r == 0, 1.0, np.abs(r) / np.sqrt(1 + r**2) / np.sqrt(np.maximum(loss(r), 1e-300)))
-        return np.concatenate([-columns(x) * steep[:, None], np.eye(len(x))])
-
-    low = np.array([0.0 if p.one_sided else -np.inf for p in parameters])
-    start = np.where(np.isfinite(low), np.maximum(start, 1e-3), start)
-    with np.errstate(over="ignore"):  # scipy's search for a damping may begin too small by far
-        return np.asarray(least_squares(rest, start, slope, bounds=(low, np.inf), max_nfev=ROUNDS, x_scale=1.0).x)
+def _some(parameters: Sequence[Parameter]) -> NDArray[np.bool_]:
+    """Which act on some blocks alone."""
+    return np.array([p.blocks is not None for p in parameters], bool)
 
 
-def _linear(target: Array, columns: Array, start: Array, parameters: Sequence[Parameter]) -> Array:
-    """`_robust` where the prediction is linear."""
-    return _robust(lambda x: target - columns @ x, lambda x: columns, start, parameters)
+def _solved(target: Array, columns: Array, parameters: Sequence[Parameter]) -> Array:
+    """Where the sum is least, of residuals target − columns x."""
+    some, x, weight = _some(parameters), np.zeros(columns.shape[1]), np.ones(len(target))
+    for _ in range(ROUNDS):
+        weighted = columns * weight[:, None]
+        prior = np.where(some, (1 + x**2) ** -0.5, 1.0)
+        before, x = x, np.linalg.solve(columns.T @ weighted + np.diag(prior), weighted.T @ target)
+        weight = (1 + (target - columns @ x) ** 2) ** -0.5
+        if np.abs(x - before).max(initial=0.0) < MOVED:
+            break
+    return x
 
 
 def _named(parameters: Sequence[Parameter], x: Array) -> dict[str, float]:
@@ -211,7 +240,7 @@ def as_fit(problem: Problem, naming: Naming, model: Model) -> Fit:
     known[:, : len(problem.nuisances)] *= [n.sigma for n in problem.nuisances]
     lin = linear.linearise(problem, at, h.amplitudes, naming.noise.covariance, known)
     robust = linear.linearise(problem, at, h.amplitudes, problem.covariance, known)
-    white = _white(problem, linear.factors(problem.covariance), at)
+    white = _white(problem, linear.factors(problem.covariance), [at])[0]
     weight = (1 + white**2) ** -0.75
     size = np.array([p.sigma for p in h.amplitudes])
     columns = np.column_stack([robust.nuisance, robust.effect * size]) * weight[:, None]

@@ -57,7 +57,7 @@ class Catalogue:
     bends: Array
 
 
-def grid_weights(values: Sequence[float] | Array) -> Array:
+def _grid_weights(values: tuple[float, ...]) -> Array:
     """Trapezoid weights of a uniform prior over the range of the grid."""
     at = np.asarray(values, float)
     order = np.argsort(at)
@@ -84,7 +84,7 @@ def expand(problem: Problem, at: Values) -> Catalogue:
         if not shape:
             continue
         own, found = evidence.amplitudes(effect), []
-        weights = [grid_weights(p.grid) for p in shape]
+        weights = [_grid_weights(p.grid) for p in shape]
         for place in product(*(range(len(p.grid)) for p in shape)):
             values = {p.name: float(p.grid[i]) for p, i in zip(shape, place, strict=True)}
             log_weight = sum(float(np.log(w[i])) for w, i in zip(weights, place, strict=True))

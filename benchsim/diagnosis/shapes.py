@@ -2,9 +2,10 @@
 
 The data then leave several places open, or a bent ridge of them along which a larger effect lies further off, and the
 curvature at the best one says nothing of the others. For every shape the amplitudes and all nuisances are integrated as
-in `linear`; what is left is a density of the few shape parameters, summed over nodes that lie as close as the effect
-changes with its shape. A peak between nodes counts at its nearest one, which is less far off than a `FAINT` effect's
-place is uncertain.
+in `linear`; what is left is a density of the few shape parameters, summed by adaptive importance sampling: points lie
+evenly over the whole range, then about the best place as its curvature has it, then about where those found the
+density; each counts by the density over that of all layers together (Cornuet et al. 2012,
+https://doi.org/10.1111/j.1467-9469.2011.00756.x).
 
 Not for effects that stand out by many sigma: what an amplitude adds is taken as linear, and `fitting` knows better.
 """
@@ -13,25 +14,27 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import softmax
+from scipy.special import logsumexp, softmax
+from scipy.stats import multivariate_normal, qmc
 
 from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.discrepancy import absorb, amplitudes
 from benchsim.diagnosis.hypothesis import Fit
 from benchsim.diagnosis.problem import Effect, Problem
-from benchsim.diagnosis.screen import grid_weights
 
 Array = NDArray[np.float64]
 
 FAINT = 8.0
 """Amplitude over its sigma from which on the best place's own curvature is believed."""
 
-FINER = 4
-"""Nodes for every step of a shape's grid."""
+POINTS, WIDER = 256, 2.0
+"""Points of a layer, and how much wider than the density seems to be it is laid out."""
+
+ROUNDS, ENOUGH = 5, 40
+"""Layers, each about where the last ones found the density, until so many points count."""
 
 
 def widened(problem: Problem, covariance: tuple[Array, ...], fit: Fit, effects: Collection[str]) -> Fit:
@@ -84,39 +87,57 @@ def spread(problem: Problem, covariance: tuple[Array, ...], fit: Fit, effect: Ef
         posterior's mean: the distance counts too.
     """
     own, shapes = evidence.amplitudes(effect), evidence.shapes(effect)
-    axes = [np.linspace(min(p.grid), max(p.grid), FINER * (len(p.grid) - 1) + 1) for p in shapes]
-    at = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    log_prior = np.log(reduce(np.multiply.outer, [grid_weights(a) for a in axes])).ravel()
-    names = [p.name for p in own]
-    size = np.array([fit.values[n] for n in names])
+    low, high = (np.array([pick(p.grid) for p in shapes]) for pick in (min, max))
+    names, k = [p.name for p in own], len(own)
+    size, middle = (np.array([fit.values[p.name] for p in many]) for many in (own, shapes))
     # The pseudo-residual of a linearisation holds what its amplitudes explain: here the effect's is left out of it
     # exactly, by the prediction without it.
     without = {**fit.values, **dict.fromkeys(names, 0.0), **evidence.fixed(effect)}
     others = [i for i, name in enumerate(fit.linear.names) if name not in names]
-    known = linear.raised(
+    raw = linear.raised(
         linear.factors(covariance), np.column_stack([fit.linear.nuisance, fit.linear.effect[:, others]])
     )
     rest = amplitudes(problem, tuple(fit.linear.names[i] for i in others))
-    ground = absorb(problem, linear.linearise(problem, without, rest, covariance, known))
+    ground = absorb(problem, linear.linearise(problem, without, rest, covariance, raw))
     # At the size it was fitted with, but at least at one sigma: what is faint is linear so far. From one side, at half
     # the cost of central differences.
     step = np.copysign(np.maximum(np.abs(size), [fit.sigma[n] for n in names]), size)
-    places = [{**without, **dict(zip((p.name for p in shapes), row, strict=True))} for row in at.tolist()]
-    found = linear.predict_each(
-        problem, [without, *({**place, n: s} for place in places for n, s in zip(names, step, strict=True))]
-    )
-    k, unit = len(own), np.array([p.sigma for p in own])
-    columns = (np.column_stack(found[1:]) - found[0][:, None]) / np.tile(step / unit, len(at))
-    # Where light just misses there is no prediction; no column is better than one that is not finite.
-    white = linear.whiten(problem, covariance, np.where(np.isfinite(columns), columns, 0.0))[0]
-    m = linear.marginal(ground, white, fit.setting_scale)
-    of = np.arange(len(at))[:, None] * k + np.arange(k)
-    root = np.linalg.inv(np.linalg.cholesky(m.gram[of[:, :, None], of[:, None, :]] + np.eye(k)))
-    stands = np.einsum("mij,mj->mi", root, m.projection[of])
-    share = softmax(log_prior + 0.5 * (stands**2).sum(axis=1) + np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1))
-    mean, variance = unit * np.einsum("mji,mj->mi", root, stands), unit**2 * (root**2).sum(axis=1)
-    second = np.concatenate(
-        [share @ ((mean - size) ** 2 + variance), share @ (at - np.array([fit.values[p.name] for p in shapes])) ** 2]
-    )
+    unit = np.array([p.sigma for p in own])
+
+    def density(at: Array) -> tuple[Array, Array]:
+        """ln of the density at points (m, d), and the amplitudes' mean square distance from the fit's (m, k)."""
+        places = [{**without, **dict(zip((p.name for p in shapes), row, strict=True))} for row in at.tolist()]
+        found = linear.predict_each(
+            problem, [without, *({**place, n: s} for place in places for n, s in zip(names, step, strict=True))]
+        )
+        columns = (np.column_stack(found[1:]) - found[0][:, None]) / np.tile(step / unit, len(at))
+        # Where light just misses there is no prediction; no column is better than one that is not finite.
+        white = linear.whiten(problem, covariance, np.where(np.isfinite(columns), columns, 0.0))[0]
+        m = linear.marginal(ground, white, fit.setting_scale)
+        of = np.arange(len(at))[:, None] * k + np.arange(k)
+        root = np.linalg.inv(np.linalg.cholesky(m.gram[of[:, :, None], of[:, None, :]] + np.eye(k)))
+        stands = np.einsum("mij,mj->mi", root, m.projection[of])
+        log = 0.5 * (stands**2).sum(axis=1) + np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        mean = unit * np.einsum("mji,mj->mi", root, stands)
+        return log, (mean - size) ** 2 + unit**2 * (root**2).sum(axis=1)
+
+    listed = [p.name for e in problem.catalogue if e.name in fit.effects for p in e.parameters]
+    place = [listed.index(p.name) for p in shapes]
+    about = multivariate_normal(middle, WIDER**2 * fit.covariance[np.ix_(place, place)], allow_singular=True)
+    at = qmc.scale(qmc.Sobol(len(shapes), rng=0).random(POINTS), low, high)
+    log, square = density(at)
+    laid = [about]
+    for _ in range(ROUNDS):
+        near = qmc.MultivariateNormalQMC(laid[-1].mean, laid[-1].cov, rng=len(laid)).random(POINTS)
+        near = near[((near >= low) & (near <= high)).all(axis=1)]
+        more, further = density(near)
+        at, log, square = np.concatenate([at, near]), np.append(log, more), np.concatenate([square, further])
+        drawn = logsumexp([np.full(len(at), -np.log(high - low).sum()), *(g.logpdf(at) for g in laid)], axis=0)
+        share = softmax(log - drawn)
+        if share @ share < 1 / ENOUGH:
+            break
+        spread_of = np.cov(at.T, aweights=share).reshape(len(shapes), -1)
+        laid.append(multivariate_normal(share @ at, WIDER**2 * spread_of, allow_singular=True))
+    second = np.concatenate([share @ square, share @ (at - middle) ** 2])
     # The range ends where a catalogue's shapes do; how sure the fit is within it is known from the curvature at least.
     return {p.name: max(fit.sigma[p.name], float(np.sqrt(v))) for p, v in zip((*own, *shapes), second, strict=True)}

@@ -25,8 +25,13 @@ def nuisances(mount: Mount) -> tuple[Parameter, ...]:
 
 
 def _drift(predict: Predict) -> tuple[Parameter, ...]:
-    names = [f"drift.{which}_{k + 1}" for k in range(predict.drift.shape[1]) for which in ("across", "up")]
-    return tuple(Parameter(n, "1", 1.0, scaled=True) for n in names)
+    """What records share: of a telescope at a scale that is fitted, of a heliostat's day on its own records."""
+    telescope = predict.mount.observes == "sky"
+    out = []
+    for k, column in enumerate(predict.drift.T):
+        on = None if telescope else tuple(int(i) for i in np.flatnonzero(column))
+        out += [Parameter(f"drift.{w}_{k + 1}", "1", 1.0, scaled=telescope, blocks=on) for w in ("across", "up")]
+    return tuple(out)
 
 
 def problem_of(predict: Predict, catalogue: Sequence[Effect], sigma: float) -> Problem:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from pvlib import spa
 
 from benchsim.instruments.mount.axes import Inside, turned
@@ -10,6 +11,9 @@ from benchsim.instruments.mount.records import Array, Mount
 
 DAY = {"spot": 86400.0, "sky": 86164.0905}
 """Seconds in which the sun, and a star, goes round."""
+
+DECLINES, ALIKE = np.radians(0.4) / 24, np.radians(0.01)
+"""Fastest change of the sun's declination [rad/h], and what rounding and refraction may add."""
 
 PRESSURE_HPA, TEMPERATURE_C = 1010.0, 10.0
 """Of the standard refraction; an error of it is stated as a part of it, or as arcsec · cot E."""
@@ -46,6 +50,22 @@ def seen(mount: Mount, source: Array, x: Inside) -> Array:
         flat = np.maximum(np.hypot(out[:, 0], out[:, 1]), 1e-6)
         out = turned(out, (_ZERO, _ZERO, -across / flat))
     return out
+
+
+def days(mount: Mount, source: Array) -> NDArray[np.intp]:
+    """Number of the day of records of the sun in the order of time, (n,), from where it stood (n, 3).
+
+    A day goes on while the hour angle grows and the declination moves no further than the sun's in that time. At the
+    solstices two days may pass for one; where the latitude is not known every record has its own.
+    """
+    if mount.latitude is None:
+        return np.arange(len(source))
+    sine, cosine = np.sin(mount.latitude), np.cos(mount.latitude)
+    declination = np.arcsin(np.clip(source[:, 1] * cosine + source[:, 2] * sine, -1, 1))
+    hours = 12 / np.pi * np.arctan2(-source[:, 0], source[:, 2] * cosine - source[:, 1] * sine)
+    later = np.diff(hours)
+    goes_on = (later > 0) & (np.abs(np.diff(declination)) <= DECLINES * later + ALIKE)
+    return np.concatenate([[0], np.cumsum(~goes_on)]).astype(np.intp)
 
 
 def refraction(direction: Array) -> Array:
