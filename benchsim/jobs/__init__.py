@@ -14,6 +14,7 @@ _MODULES = {
     "fit": "fitting",
     "validate": "validating",
     "diagnose": "diagnosing",
+    "field": "field_diagnosis",
     "effects": "effect_catalogue",
     "report": "reporting",
     "board": "board_print",
@@ -22,7 +23,20 @@ _MODULES = {
     "check": "checking",
 }
 
-__all__ = ["board", "calibrate", "check", "diagnose", "effects", "fit", "new", "render", "report", "run", "validate"]
+__all__ = [
+    "board",
+    "calibrate",
+    "check",
+    "diagnose",
+    "effects",
+    "field",
+    "fit",
+    "new",
+    "render",
+    "report",
+    "run",
+    "validate",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -12,8 +12,9 @@ it if it were this heliostat's alone, O. The field's likelihood is the product o
 
     L(s) = Π [ (1 − OWN) Σ_i Z_i(s) + OWN · O ] ,
 
-so that no heliostat moves ln L by more than ln 1/`OWN`. Each set of causes has its evidence by Laplace's method about
-the largest L(s) p(s); causes are added, dropped and exchanged until nothing gains.
+so that no heliostat moves ln L by more than ln 1/`OWN`, and what is said to be shared is borne out by most. Each set of
+causes has its evidence by Laplace's method about the largest L(s) p(s); causes are added, dropped and exchanged until
+nothing gains.
 
 Not for causes that act on a heliostat by its square: all is to first order about the fit.
 """
@@ -38,6 +39,9 @@ from benchsim.instruments.mount.records import Array, Session
 
 OWN = 0.05
 """Prior probability that a heliostat says nothing of the field: 3 in ln Z is the most that any one can say."""
+
+HEARD = 0.1
+"""Gain in ln Z from which on a heliostat counts as one that bears a cause out."""
 
 TOGETHER = 3
 """Own effects of a heliostat in one set."""
@@ -102,16 +106,17 @@ class Shared:
     cause : Cause
     probability : float
         That it is there, of all sets of causes that were weighed.
-    values, sigma : mapping of str to float
-        By parameter, in the catalogue's unit.
+    values, sigma, units : mapping
+        By parameter.
     witnesses : int
-        Heliostats that are more likely to bear it out than to show what is their own.
+        Heliostats whose records are more probable with it than without.
     """
 
     cause: Cause
     probability: float
     values: Mapping[str, float]
     sigma: Mapping[str, float]
+    units: Mapping[str, str]
     witnesses: int
 
 
@@ -277,10 +282,12 @@ def joint(witnesses: Sequence[Witness], many: Sequence[Cause], own: Sequence[Par
         probability = float(np.exp(logsumexp([v for s, v in z.items() if c in s]) - total))
         without = at.copy()
         without[places[c]] = 0.0
-        bears = int((field.each(at) > field.each(without)).sum())
-        size = [{own[i].name: float(x[i] * own[i].sigma) for i in places[c]} for x in (at, sigma)]
-        if probability >= LIKELY:
-            shared.append(Shared(many[c], probability, *size, bears))
+        bears = int((field.each(at) > field.each(without) + HEARD).sum())
+        values, sizes = ({own[i].name: float(x[i] * own[i].sigma) for i in places[c]} for x in (at, sigma))
+        units = {own[i].name: own[i].unit for i in places[c]}
+        # By chance some agree on anything: what is shared is borne out by most of those that could see it.
+        if probability >= LIKELY and 2 * bears > field.seeing(places[c]):
+            shared.append(Shared(many[c], probability, values, sizes, units, bears))
     rivals = sorted(((tuple(names[c] for c in s), z[best] - v) for s, v in z.items()), key=lambda x: x[1])
     return Joint(tuple(shared), tuple(r for r in rivals[1:] if r[1] < MISSING))
 
@@ -313,6 +320,11 @@ class _Field:
         z = self.log_z + self.projection @ s - 0.5 * np.einsum("hmij,i,j->hm", self.gram, s, s)
         both = np.concatenate([np.log1p(-OWN) + z, (np.log(OWN) + self.own)[:, None]], axis=1)
         return np.asarray(logsumexp(both, axis=1))
+
+    def seeing(self, places: Sequence[int]) -> int:
+        """How many heliostats know some parameters better than their priors do, by their most probable set."""
+        best = self.gram[np.arange(len(self.gram)), np.argmax(self.log_z, axis=1)]
+        return int((best[:, places, places] > 1.0).any(axis=1).sum())
 
     def peak(self, places: list[int]) -> tuple[float, Array, Array]:
         """ln of the evidence with some parameters free, their most probable values and 1 sigma of these."""
