@@ -130,7 +130,7 @@ def test_three_stars_however_written(tmp_path, text):
     ("text", "wanted"),
     [
         (STARS.replace("45", "-45").replace("44.999", "-44.999"), "line 1.*horizon"),
-        (STARS.replace("\n", " 7\n"), "line 1"),
+        (STARS + "120 45 119.7\n", "line 4, column 4"),
         ("RAA: 77 10\nTAA: 77 nan\n", "line 2"),
         ("RAA: 77 10\nTAA: 77 10\nLST: nan:0:0\n", "line 3"),
         ("RAA: 77 10\n", "no star has both"),
