@@ -165,8 +165,8 @@ def chosen(
     if len(fit) == 1:
         other = SOUTH_EAST if fit[0] == NORTH_EAST else NORTH_EAST
         return fit[0], (
-            f"Azimuths are {fit[0]}, as {sky} show: they put the stars {missed[fit[0]]:.2g} deg off, and "
-            f"{missed[other]:.3g} deg were azimuths {other}."
+            f"Azimuths are {fit[0]}, as {sky} show: stars stand {missed[fit[0]]:.2g} deg from where these put them, "
+            f"and {missed[other]:.3g} deg were azimuths {other}."
         )
     if missed and not fit:
         each = " nor ".join(f"{c} (median miss {missed[c]:.3g} deg)" for c in CONVENTIONS)

@@ -14,6 +14,9 @@ DAY = {"spot": 86400.0, "sky": 86164.0905}
 PRESSURE_HPA, TEMPERATURE_C = 1010.0, 10.0
 """Of the standard refraction; an error of it is stated as a part of it, or as arcsec · cot E."""
 
+HORIZON_DEG = 0.5667
+"""Standard refraction on the horizon: lower, the sun is not lifted."""
+
 _ZERO = np.zeros(1)
 
 
@@ -51,7 +54,7 @@ def seen(mount: Mount, source: Array, x: Inside) -> Array:
 def refraction(direction: Array) -> Array:
     """Standard refraction [rad] of unit vectors (T, 3), by Reda & Andreas 2004, NREL/TP-560-34302."""
     elevation = np.degrees(np.arcsin(np.clip(direction[:, 2], -1, 1)))
-    return np.radians(spa.atmospheric_refraction_correction(PRESSURE_HPA, TEMPERATURE_C, elevation, 0.5667))
+    return np.radians(spa.atmospheric_refraction_correction(PRESSURE_HPA, TEMPERATURE_C, elevation, HORIZON_DEG))
 
 
 def _cotangent(direction: Array) -> Array:
