@@ -118,13 +118,14 @@ def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -
             "west negative"
         )
     stamped = np.flatnonzero(np.isfinite(times))
-    checks = {c: {a: _checked(suns[c][stamped], times[stamped], place, a) for a in (True, False)} for c in possible}
-    least = {c: min(check.miss for check in both.values()) for c, both in checks.items()} if len(stamped) else {}
-    fit = [c for c in possible if least.get(c, np.inf) < (FITS_DEG if c == possible[0] else SHARP_DEG)]
-    convention = fit[0] if fit else possible[0]
-    source, remarks = suns[convention], [_said(convention, bool(fit))]
     if not len(stamped):
-        return source, tuple(remarks)
+        return suns[possible[0]], (_said(possible[0], "only so can the sun stand there"),)
+    checks = {c: {a: _checked(suns[c][stamped], times[stamped], place, a) for a in (True, False)} for c in possible}
+    least = {c: min(check.miss for check in both.values()) for c, both in checks.items()}
+    fit = [c for c in possible if least[c] < (FITS_DEG if c == possible[0] else SHARP_DEG)]
+    convention = fit[0] if fit else possible[0]
+    source = suns[convention]
+    remarks = [_said(convention, "the stamps show it" if fit else "only so can the sun stand there")]
     apparent, true = (float(np.median(np.abs(checks[convention][a].across))) for a in (True, False))
     clear = min(apparent, true) < min(REFRACTION_DEG, max(apparent, true) / 3)
     if clear and apparent < true:
@@ -154,10 +155,9 @@ def zone(late: float) -> str | None:
     return f"clock: {shift:+d} s: {ZONES[shift]}" if abs(shift - late) < NEAR_S else None
 
 
-def _said(convention: Convention, stamped: bool) -> str:
+def _said(convention: Convention, why: str) -> str:
     if convention == SOUTH_EAST:
         return f"Azimuths of the sun are {convention}, as PAINT has them."
-    why = "the stamps show it" if stamped else "only so can the sun stand there"
     return f"Azimuths of the sun are {convention}, not {SOUTH_EAST} as PAINT has them: {why}."
 
 

@@ -72,6 +72,8 @@ def read(recordings: Sequence[tuple[Path, Mapping[str, Any]]], heliostat: str) -
 def _seconds(path: Path, key: str, stamp: Any) -> float:
     try:
         time = datetime.fromisoformat(stamp)
+        if not 1950 <= time.year <= 2100:
+            raise ValueError
     except (TypeError, ValueError):
         raise BenchsimError(f"{path}: {key}: {short(stamp)} is no time; write UTC as 2022-06-12T13:20:13Z") from None
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()

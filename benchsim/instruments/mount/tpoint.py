@@ -3,8 +3,8 @@
 Degrees, or degrees, minutes and seconds (``119:42:00``, ``119d42m00s``, or each in a column of its own). Columns are
 separated by blanks, semicolons or commas; a comma within every number is a decimal one. Further columns (rotator,
 flags, names) are read over; if the line above the stars names as many columns as they have, and LST, RA and DEC among
-them, these say which way azimuths run. A backslash at its end continues a line, and what follows ``&`` is TPOINT's
-auxiliary data. The header ends with the first line of four angles, the stars with the file or ``END``.
+them, these say which way azimuths run. A backslash at its end continues a line. The header ends with the first line of
+four angles, the stars with the file or ``END``.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def read(path: Path, lines: Sequence[str]) -> Run:
 
 
 def _joined(lines: Sequence[str]) -> list[tuple[int, str]]:
-    """Lines that hold something, without comments, continued ones joined, without auxiliary data."""
+    """Lines that hold something, without comments, continued ones joined."""
     out: list[tuple[int, str]] = []
     goes_on = False
     for number, line in enumerate(lines, 1):
@@ -79,7 +79,7 @@ def _joined(lines: Sequence[str]) -> list[tuple[int, str]]:
         elif text:
             out.append((number, text.rstrip(chr(92))))
         goes_on = text.endswith(chr(92))
-    return [(number, text) for number, whole in out if (text := whole.split("&", 1)[0].strip(" \t,;"))]
+    return [(number, text) for number, text in out if text.strip(" \t,;")]
 
 
 def _has_decimal_commas(text: str) -> bool:
@@ -158,7 +158,7 @@ def _in_parts(fields: Fields) -> bool:
     parts = fields[:12]
     if _leading(parts) < 12 or not all(_WHOLE.fullmatch(parts[k]) for k in (0, 1, 3, 4, 6, 7, 9, 10)):
         return False
-    values = [float(f) for f in parts]
+    values = [_value(f) or 0.0 for f in parts]
     as_parts = abs(values[3] - values[9]) + abs(values[4] - values[10]) / 60
     return as_parts < abs(values[1] - values[3])
 
@@ -167,7 +167,7 @@ def _is_mean_place(fields: Fields) -> bool:
     """Whether a line begins with h m s, d m s, two proper motions and an equinox."""
     if _leading(fields) < 9 or not all(_WHOLE.fullmatch(fields[k]) for k in (0, 1, 3, 4)):
         return False
-    return 1850 <= float(fields[8]) <= 2150
+    return 1850 <= (_value(fields[8]) or 0.0) <= 2150
 
 
 def _angle(path: Path, number: int, column: int, fields: Fields) -> float:

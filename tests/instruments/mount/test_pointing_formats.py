@@ -115,7 +115,8 @@ def test_where_the_header_is_silent_the_stars_tell(tmp_path, convention):
     times = np.column_stack([np.full(len(hour), 6.0), (6 - hour / 15) % 24, declination])
     named = "# az el az_read el_read lst ra_h dec\n" + rows(table, RUNNING[convention], times)
     columns = pointing.read(write(tmp_path, "columns.dat", named))
-    for session in (raw, columns):
+    degrees = "# az el az_read el_read lst_deg ra_deg dec_deg\n" + rows(table, RUNNING[convention], times * [15, 15, 1])
+    for session in (raw, columns, pointing.read(write(tmp_path, "degrees.dat", degrees))):
         holds(session, table, convention)
         assert session.mount.latitude == pytest.approx(LATITUDE, abs=1e-6)
 
@@ -173,6 +174,8 @@ def test_a_header_that_the_stars_or_another_line_contradict_is_refused(tmp_path)
         ("49 48 0 2004-01-13 22:11:12.123", 49.8),
         ("-00 14 40.7", -0.244639),
         ("! latitude 50.9134 deg", 50.9134),
+        ("! Lat (deg) = -30.244639", -30.244639),
+        ("LATITUDE 32d46m49.3s N", 32.780361),
         ("# Latitude: 30:14:40.7 S, longitude 70 44 57 W", -30.244639),
     ],
 )
@@ -226,6 +229,13 @@ def test_the_same_stars_however_they_are_written(tmp_path, text):
     np.testing.assert_allclose(np.degrees(records.reading), [[119.7, 45], [199.7, 30], [299.7, 60]], atol=1e-9)
 
 
+def test_whole_degrees_with_eight_flags_are_no_degrees_minutes_and_seconds(tmp_path):
+    records = pointing.read(
+        write(tmp_path, "run.dat", "120 45 119 44 1 0 0 1 0 0 0 0\n200 30 199 29 1 0 0 1 0 0 0 0\n")
+    ).records
+    np.testing.assert_allclose(np.degrees(records.reading), [[119, 44], [199, 29]], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
@@ -251,6 +261,13 @@ def test_what_cannot_be_read_is_said_with_line_and_column(tmp_path, text, wanted
         pointing.read(path)
     assert str(error.value).startswith(str(path))
     assert "\n" not in str(error.value)
+
+
+def test_words_about_latitude_and_azimuth_state_none(tmp_path):
+    above = "! latitude terms left out, 7 stars\n! telescope latitude deg min sec\nGemini South, azimuth drive 2\n"
+    remarks = pointing.read(write(tmp_path, "run.dat", above + STARS)).remarks
+    assert remarks[0].startswith("The file states no latitude")
+    assert any(r.startswith("Azimuths are taken from north through east") for r in remarks)
 
 
 def test_an_unknown_option_is_left_aside_and_said(tmp_path):

@@ -156,6 +156,15 @@ def test_azimuths_of_another_convention_are_told(tmp_path, convention, running, 
     np.testing.assert_allclose(session.records.source, sun_at(), atol=1e-9)
 
 
+def test_wrong_stamps_do_not_turn_the_sun_about(tmp_path):
+    """Stamps mirrored about noon (11:36 UTC) and five minutes late would fit azimuths through west to 1.3 deg."""
+    noon = [t.replace(hour=11, minute=36, second=0) for t in TIMES]
+    times = [2 * (n - t) + t + timedelta(seconds=300) for n, t in zip(noon, TIMES, strict=True)]
+    session = paint.read(stamped(paint_folder(tmp_path, records=recorded()), times))
+    np.testing.assert_allclose(session.records.source, sun_at(), atol=1e-9)
+    assert any("by no whole hours" in r for r in clocks(session))
+
+
 def test_a_sun_that_can_stand_there_in_neither_convention_is_refused(tmp_path):
     records = [RECORD, *recorded(TIMES[2:3], running=lambda a: a)]
     with pytest.raises(BenchsimError, match=r"1001-.*azimuth from south through east.*azimuth from north through east"):
@@ -173,7 +182,7 @@ def test_stamps_are_found_in_the_item_in_the_recording_and_by_number(tmp_path):
     assert "stamps of 1000-calibration-properties.json, 1001-calibration-properties.json;" in said
 
 
-@pytest.mark.parametrize("stamp", ["yesterday", 1655040013, ""])
+@pytest.mark.parametrize("stamp", ["yesterday", 1655040013, "", "9999-12-31T23:00:00Z"])
 def test_a_stamp_that_is_no_time_is_said(tmp_path, stamp):
     folder = paint_folder(tmp_path)
     write(tmp_path, "timestamps.json", json.dumps({"AA01_1002": stamp}))
