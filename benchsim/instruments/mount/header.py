@@ -38,10 +38,10 @@ _DATED = r"(?=\s*$|\s+(?:19|20)\d\d\b|\s+[^\d\s.+-])"
 _PARAMETERS = re.compile(r"^\s*([+-]?)(\d{1,3})\s+(\d{1,2})\s+(\d{1,2}(?:\.\d*)?)" + _DATED)
 _ALONE = re.compile(r"^\s*([+-]?)(\d{1,2}(?:\.\d*)?)\s*$")
 _NAMED = re.compile(
-    r"\blat(?:itude)?\b(?:\s*\(?deg\w*\)?)?\s*(?:is|=|:)?\s*([+-]?)(\d{1,3}(?![\d.])|\d{1,3}\.\d*)"
+    r"\blat(?:itude)?\b\.?(?:\s*\(?deg\w*\)?)?\s*(?:is|=|:)?\s*([+-]?)(\d{1,3}(?![\d.])|\d{1,3}\.\d*)"
     r"(?:(?:\s*(?:deg\w*|[d°:])\s*|\s+)(\d{1,2}(?:\.\d+)?)(?![\d.]))?"
     r"(?:(?:\s*(?:min\w*|['m:′])\s*|\s+)(\d{1,2}(?:\.\d+)?)(?![\d.]))?"
-    r"(?:\s*(?:sec\w*|deg\w*|[\"″°]|(?-i:s)\b))?\s*((?-i:[NS]))?(?!\w)",
+    r"(?:\s*(?:sec\w*|deg\w*|[\"″°]|(?-i:s)\b))?\s*((?-i:[NS])|north|south)?(?!\w)",
     re.IGNORECASE,
 )
 
@@ -146,6 +146,6 @@ def latitude(path: Path, header: Lines) -> tuple[float, int] | None:
             raise BenchsimError(
                 f"{path}, line {number}: {match.group().strip()!r} is no latitude; write degrees, minutes and seconds"
             )
-        south = sign == "-" or (side or "").upper() == "S"
+        south = sign == "-" or (side or "").upper().startswith("S")
         return -value if south else value, number
     return None

@@ -176,6 +176,7 @@ def test_a_header_that_the_stars_or_another_line_contradict_is_refused(tmp_path)
         ("! latitude 50.9134 deg", 50.9134),
         ("! Lat (deg) = -30.244639", -30.244639),
         ("LATITUDE 32d46m49.3s N", 32.780361),
+        ("! Lat. 30.244639 south", -30.244639),
         ("# Latitude: 50 deg 54 min 48 s N, longitude 6", 50.913333),
         ("# Latitude: 30:14:40.7 S, longitude 70 44 57 W", -30.244639),
     ],
