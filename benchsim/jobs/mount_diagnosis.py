@@ -20,7 +20,7 @@ from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
-from benchsim.instruments.mount import effects, functions, stated
+from benchsim.instruments.mount import effects, functions, solar, stated
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Function, Session
@@ -107,6 +107,9 @@ class MountDiagnosis:
                 f"From {len(b.problem.names)} records little can be told from chance: what is missing may be as large "
                 "as the residuals; add records."
             )
+        clock = next((f.parameters["dt"] for f in self.diagnosis.effects if f.name == "clock"), None)
+        if clock is not None and (zone := solar.zone(-clock.value)):
+            out.append(f"{zone}: so the spots have it (dt = {clock.value:.0f} ± {clock.sigma:.0f} s).")
         step = next((f for f in self.diagnosis.effects if f.name == "change-point"), None)
         if step is not None:
             kept = b.session.records.names

@@ -10,7 +10,6 @@ or inside it, or, for a folder of recordings, above it.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,7 +19,9 @@ from typing import Any
 import numpy as np
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.instruments.mount.records import Actuator, Array, Mount, Records, Session, toward
+from benchsim.instruments.mount import solar, stamps
+from benchsim.instruments.mount.json_values import load, number, number_in, short, triple, value
+from benchsim.instruments.mount.records import Actuator, Array, Mount, Records, Session
 
 CALIBRATION = ("*-calibration-properties.json", "*_calibration_properties.json")
 HELIOSTAT = ("*heliostat-properties.json", "*_properties.json")
@@ -48,9 +49,6 @@ JOINTS = ("joint_translation_{}_1", "joint_translation_{}_2", "concentrator_tran
 
 LARGEST_M = 5.0
 """No length of a heliostat's kinematics is larger."""
-
-DECLINATION_DEG = 32.0
-"""The sun's is at most 23.44 deg; the rest leaves to the diagnosis what is a little wrong, and refuses other units."""
 
 
 def recognises(path: Path) -> bool:
@@ -134,15 +132,38 @@ def read(folder: Path, tower: Path | None = None) -> Session:
     )
     if not rows:
         raise BenchsimError(f"{folder}: no recording has a focal spot; add measured ones")
-    reading, source, spot, target, methods = zip(*rows, strict=True)
+    reading, seen, spot, target, methods, others = zip(*rows, strict=True)
     names = tuple(p.name[: -len(CALIBRATION[0]) + 1] for p in used)
+    remarks += _methods(names, methods, np.array(spot), np.array(others))
+    times, stamped = stamps.read([(p, load(p)) for p in used], _name(paths[0].parent))
+    source, said = solar.directions(used, np.array(seen), times, origin)
+    records = Records(names, np.array(reading), source, np.array(spot), target)
+    _plausible(used, records, mount)
+    files = (*paths, heliostat, *stamped, tower)
+    return Session(folder.resolve().name, folder, files, mount, records, (*remarks, *said))
+
+
+def _name(recordings: Path) -> str:
+    """The heliostat's, as its folder has it."""
+    folder = recordings.resolve()
+    return folder.parent.name if folder.name in RECORDINGS else folder.name
+
+
+def _methods(names: Sequence[str], methods: Sequence[str], spots: Array, others: Array) -> list[str]:
+    """What the methods of finding the focal spot leave open; spots (n, 3) of the one in use and of the other [mm]."""
+    out = []
     second = [n for n, m in zip(names, methods, strict=True) if m != METHODS[0]]
     if second:
         which = f"any of the {len(names)} recordings" if len(second) == len(names) else ", ".join(second)
-        remarks.append(f"There is no spot of {METHODS[0]} in {which}; that of {METHODS[1]} is used.")
-    records = Records(names, np.array(reading), np.array(source), np.array(spot), target)
-    _plausible(used, records, mount)
-    return Session(folder.resolve().name, folder, (*paths, heliostat, tower), mount, records, tuple(remarks))
+        out.append(f"There is no spot of {METHODS[0]} in {which}; that of {METHODS[1]} is used.")
+    apart = np.linalg.norm(spots - others, axis=1)
+    both = np.isfinite(apart)
+    if both.any():
+        out.append(
+            f"{METHODS[0]} and {METHODS[1]} find spots {np.sqrt(np.mean(apart[both] ** 2)):.3g} mm apart (rms of "
+            f"{both.sum()} recordings; median {np.median(apart[both]):.3g} mm); that of {METHODS[0]} is used."
+        )
+    return out
 
 
 def _heliostat(folder: Path, recordings: Path) -> Path:
@@ -202,60 +223,6 @@ def _earth_centred(place: Array) -> Array:
     )
 
 
-def load(path: Path) -> Mapping[str, Any]:
-    """A JSON object."""
-    try:
-        value = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise BenchsimError(f"{path}: cannot be read ({error.strerror}); put the file there") from None
-    except UnicodeDecodeError:
-        raise BenchsimError(f"{path}: is not in UTF-8; save it so") from None
-    except (ValueError, RecursionError) as error:
-        raise BenchsimError(f"{path}: is no JSON ({error}); mend the file") from None
-    if not isinstance(value, dict):
-        raise BenchsimError(f"{path}: is no JSON object; mend the file")
-    return value
-
-
-def value(path: Path, data: Mapping[str, Any], key: str) -> Any:
-    """What stands under a dotted key."""
-    at: Any = data
-    for part in key.split("."):
-        if not isinstance(at, Mapping) or part not in at:
-            raise BenchsimError(f"{path}: {key}: is missing; add it")
-        at = at[part]
-    return at
-
-
-def number(path: Path, data: Mapping[str, Any], key: str) -> float:
-    """A finite number under a dotted key."""
-    return _number(path, key, value(path, data, key))
-
-
-def _number(path: Path, key: str, found: Any) -> float:
-    if not _finite(found):
-        raise BenchsimError(f"{path}: {key}: {_short(found)} is no finite number; mend it")
-    return float(found)
-
-
-def _finite(found: Any) -> bool:
-    # An integer may be too large to be a float.
-    return not isinstance(found, bool) and isinstance(found, int | float) and -1e300 < found < 1e300
-
-
-def _short(found: Any) -> str:
-    return repr(found) if len(repr(found)) < 80 else f"{repr(found)[:60]}…"
-
-
-def triple(path: Path, data: Mapping[str, Any], key: str) -> Array:
-    """Latitude and longitude [deg] and height [m] under a dotted key."""
-    found = value(path, data, key)
-    good = isinstance(found, list) and len(found) == 3 and all(_finite(v) for v in found)
-    if not good or abs(found[0]) > 90 or abs(found[1]) > 360 or not -500 < found[2] < 9000:
-        raise BenchsimError(f"{path}: {key}: {_short(found)} is not [latitude deg, longitude deg, height m]; mend it")
-    return np.array(found, float)
-
-
 def _order(path: Path) -> tuple[int, str]:
     """Recordings are numbered as they were taken."""
     head = re.split("[-_]", path.name, maxsplit=1)[0]
@@ -264,7 +231,8 @@ def _order(path: Path) -> tuple[int, str]:
 
 def _recording(
     path: Path, plant: Mapping[str, Any], tower: Path, origin: Array, remarks: list[str]
-) -> tuple[Array, Array, Array, str, str] | None:
+) -> tuple[Array, Array, Array, str, str, Array] | None:
+    """Steps, azimuth and elevation of the sun as recorded [deg], focal spot [mm], target, method, the other's spot."""
     data = load(path)
     steps = np.array([number(path, data, f"motor_position.axis_{k}_motor_position") for k in (1, 2)])
     azimuth, elevation = number(path, data, "sun_azimuth"), number(path, data, "sun_elevation")
@@ -272,15 +240,6 @@ def _recording(
         raise BenchsimError(
             f"{path}: sun_elevation, sun_azimuth: {elevation:g} and {azimuth:g} deg are no place of the sun; write "
             "degrees, azimuth from south with west negative"
-        )
-    sun = toward(np.array(np.pi - math.radians(azimuth)), np.array(math.radians(elevation)))
-    latitude = math.radians(origin[0])
-    declination = math.degrees(math.asin(float(sun @ [0.0, math.cos(latitude), math.sin(latitude)])))
-    if abs(declination) > DECLINATION_DEG:
-        raise BenchsimError(
-            f"{path}: sun_elevation, sun_azimuth: the sun never stands at {elevation:g} and {azimuth:g} deg at "
-            f"latitude {origin[0]:.4g} deg (its declination would be {declination:.0f} deg); write degrees, azimuth "
-            "from south with west negative"
         )
     target = value(path, data, "target_name")
     targets = [k for k in plant if k != "power_plant_properties"]
@@ -290,11 +249,11 @@ def _recording(
     spots = value(path, data, "focal_spot")
     if not isinstance(spots, Mapping):
         raise BenchsimError(f"{path}: focal_spot: {spots!r} holds no methods; write {METHODS[0]} = [lat, lon, height]")
-    method = next((m for m in METHODS if spots.get(m) is not None), None)
-    if method is None:
+    found = {m: enu(triple(path, data, f"focal_spot.{m}"), origin) for m in METHODS if spots.get(m) is not None}
+    if not found:
         remarks.append(f"{path.name}: neither {' nor '.join(METHODS)} found a focal spot; left out.")
         return None
-    spot = enu(triple(path, data, f"focal_spot.{method}"), origin)
+    method, spot = next(iter(found.items()))
     centre = enu(triple(tower, plant, f"{target}.coordinates.center"), origin)
     off = float(np.linalg.norm(spot - centre)) / 1e3
     if off > OFF_TARGET_M:
@@ -302,7 +261,8 @@ def _recording(
             f"{path}: focal_spot.{method}: {off:.3g} m from the centre of {target}, which is off the target; mend the "
             "spot, the target's name, or the tower file"
         )
-    return steps, sun, spot, target, method
+    other = found[METHODS[1]] if len(found) == len(METHODS) else np.full(3, np.nan)
+    return steps, np.array([azimuth, elevation]), spot, target, method, other
 
 
 def _actuators(path: Path, data: Mapping[str, Any]) -> tuple[Actuator, ...]:
@@ -313,12 +273,12 @@ def _actuators(path: Path, data: Mapping[str, Any]) -> tuple[Actuator, ...]:
     for k, one in enumerate(listed):
         key = f"kinematics_properties.actuators.{k + 1}"
         if not isinstance(one, Mapping):
-            raise BenchsimError(f"{path}: {key}: {_short(one)} is no table of an actuator; mend the list")
+            raise BenchsimError(f"{path}: {key}: {short(one)} is no table of an actuator; mend the list")
 
         def get(name: str, default: float | None = None, one: Mapping[str, Any] = one, key: str = key) -> float:
             if default is not None and name not in one:
                 return default
-            return _number(path, f"{key}.{name}", value(path, one, name))
+            return number_in(path, f"{key}.{name}", value(path, one, name))
 
         for name in ("increment", "offset", "pivot_radius", "initial_stroke_length", "initial_angle", CLOCKWISE):
             if name not in one:
@@ -339,7 +299,7 @@ def _actuators(path: Path, data: Mapping[str, Any]) -> tuple[Actuator, ...]:
             raise BenchsimError(f"{path}: {key}.initial_angle: {angle:g} rad is more than a turn; write radians")
         clockwise = one[CLOCKWISE]
         if clockwise not in (0, 1):
-            raise BenchsimError(f"{path}: {key}.{CLOCKWISE}: {_short(clockwise)} is neither 0 nor 1; mend it")
+            raise BenchsimError(f"{path}: {key}.{CLOCKWISE}: {short(clockwise)} is neither 0 nor 1; mend it")
         first = -math.pi / 2 if k == 0 else 0.0
         out.append(Actuator(1e3 * stroke, 1e3 * offset, 1e3 * radius, increment / 1e3, angle + first, bool(clockwise)))
     return tuple(out)

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.mount.beam_light import CONTOUR, ORDER, Beam, beam_on, linear
+from benchsim.instruments.mount.json_values import load, triple, value
 from benchsim.instruments.mount.mark_templates import read_templates
-from benchsim.instruments.mount.paint import enu, find_tower, load, triple, value
+from benchsim.instruments.mount.paint import enu, find_tower
 from benchsim.instruments.mount.target_marks import (
     Marks,
     find_marks,

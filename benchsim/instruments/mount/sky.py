@@ -18,6 +18,9 @@ DECLINES, ALIKE = np.radians(0.4) / 24, np.radians(0.01)
 PRESSURE_HPA, TEMPERATURE_C = 1010.0, 10.0
 """Of the standard refraction; an error of it is stated as a part of it, or as arcsec · cot E."""
 
+HORIZON_DEG = 0.5667
+"""Standard refraction on the horizon: lower, the sun is not lifted."""
+
 _ZERO = np.zeros(1)
 
 
@@ -71,7 +74,7 @@ def days(mount: Mount, source: Array) -> NDArray[np.intp]:
 def refraction(direction: Array) -> Array:
     """Standard refraction [rad] of unit vectors (T, 3), by Reda & Andreas 2004, NREL/TP-560-34302."""
     elevation = np.degrees(np.arcsin(np.clip(direction[:, 2], -1, 1)))
-    return np.radians(spa.atmospheric_refraction_correction(PRESSURE_HPA, TEMPERATURE_C, elevation, 0.5667))
+    return np.radians(spa.atmospheric_refraction_correction(PRESSURE_HPA, TEMPERATURE_C, elevation, HORIZON_DEG))
 
 
 def _cotangent(direction: Array) -> Array:
