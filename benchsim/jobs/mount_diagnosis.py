@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,8 +22,9 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
 from benchsim.instruments.mount import effects, functions, stated
 from benchsim.instruments.mount import problem as mount_problem
+from benchsim.instruments.mount.prediction import Predict
 from benchsim.instruments.mount.problem import Built
-from benchsim.instruments.mount.records import UNITS, Function, Session
+from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
@@ -69,6 +70,8 @@ class MountDiagnosis:
         Stated effects with what was found added, in the catalogue's units.
     fields : mapping of str to Function
         Stated functions with a law added.
+    learnt : Learnt
+        What predictions rest on beside both.
     folder : Path
     """
 
@@ -77,6 +80,7 @@ class MountDiagnosis:
     diagnosis: Diagnosis
     found: dict[str, dict[str, float]]
     fields: dict[str, Function]
+    learnt: Learnt
     folder: Path
 
     @cached_property
@@ -85,12 +89,10 @@ class MountDiagnosis:
         b, unit = self.built, self.built.session.mount.unit
         out = [*self.session.remarks, *b.remarks]
         if unit == "arcsec":
-            zero = b.session.mount.zero / UNITS["arcsec"]
-            values, sizes = self.diagnosis.values, zero_sigma(b, self.diagnosis)
-            ia, ie = (zero[k] + values.get(n, 0.0) for k, n in enumerate(("IA", "IE")))
+            (ia, more), (ie, less) = self.encoder_zeros
             out.append(
-                f"The encoders' zeros are fitted in every hypothesis: IA = {ia:.2f} ± {sizes[0]:.2f}, IE = {ie:.2f} ± "
-                f"{sizes[1]:.2f} arcsec (true less read)."
+                f"The encoders' zeros are fitted in every hypothesis: IA = {ia:.2f} ± {more:.2f}, IE = {ie:.2f} ± "
+                f"{less:.2f} arcsec (true less read)."
             )
         sun = b.session.records.source
         if np.degrees(np.arccos(np.clip((sun @ sun.T).min(), -1.0, 1.0))) < NARROW_DEG:
@@ -115,6 +117,14 @@ class MountDiagnosis:
             number = self.session.records.names.index(name) + 1
             out.append(f"Changed at record {number}: from {name} on the mount is another; diagnose both parts apart.")
         return tuple(out)
+
+    @property
+    def encoder_zeros(self) -> tuple[tuple[float, float], ...]:
+        """A telescope's IA and IE with 1 sigma [arcsec], beside everything that was found."""
+        known = self.learnt
+        assert known.zeros is not None
+        sigma = [float(np.sqrt(known.covariance[k, k])) for k in map(known.parameters.index, ("IA", "IE"))]
+        return tuple(zip((known.zeros / UNITS["arcsec"]).tolist(), sigma, strict=True))
 
     @property
     def lost(self) -> tuple[str, ...]:
@@ -204,7 +214,7 @@ def diagnose(
         result = diagnose_session(session, folder, progress=progress)
         write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
         write_text(staging / "summary.txt", result.text() + "\n")
-        stated.write(session, result.found, result.fields, staging / "amended.toml", folder)
+        stated.write(session, result.found, result.fields, staging / "amended.toml", folder, result.learnt)
         write_text(staging / "page.json", json.dumps(_page(result), allow_nan=False) + "\n")
     if draw:
         progress("drawing", 0.9)
@@ -249,7 +259,9 @@ def diagnose_session(
         built = replace(built, remarks=(*built.remarks, remark))
         found = _withdrawn(found, built.problem)
     found = replace(found, next=found.next[:NEXT])
-    return MountDiagnosis(session, built, found, amended(session, built, found), lawful(session, built, found), folder)
+    put = amended(session, built, found)
+    known = learnt(built, found, put)
+    return MountDiagnosis(session, built, found, put, lawful(session, built, found), known, folder)
 
 
 def distinct(session: Session) -> Session:
@@ -310,15 +322,33 @@ def lawful(session: Session, built: Built, d: Diagnosis) -> dict[str, Function]:
     return out
 
 
-def zero_sigma(built: Built, d: Diagnosis) -> tuple[float, float]:
-    """1 sigma of a telescope's encoder zeros beside everything that was found, in arcsec."""
-    problem, claimed = built.problem, {*(f.name for f in d.effects), *chosen(d)}
-    own = tuple(p for e in problem.catalogue if e.name in claimed for p in e.parameters if not p.grid)
+def learnt(built: Built, d: Diagnosis, found: Mapping[str, object]) -> Learnt:
+    """What predictions rest on: errors of a record, and the covariance of everything that is fitted beside ``found``.
+
+    Linearised about the fit, with the noise as the data show it. A telescope's drift through a night is another one's
+    on the next: to a later record it is scatter. The uncertainty of functions without a name is not in it.
+    """
+    problem, mount = built.problem, built.session.mount
+    own = tuple(p for e in problem.catalogue if e.name in found for p in e.parameters if not p.grid)
     covariance = tuple(np.diag(d.residuals.sigma[problem.rows(b)] ** 2) for b in range(len(problem.names)))
     lin = absorb(problem, linear.linearise(problem, d.values, own, covariance))
     spread = linear.nuisance_posterior(lin, lin.residual, d.setting_scale)[1]
-    sigma = {p.name: p.sigma * float(np.sqrt(spread[k, k])) for k, p in enumerate(problem.nuisances)}
-    return sigma["IA"], sigma["IE"]
+    known = [*problem.nuisances, *own]
+    keep = [k for k, p in enumerate(known) if not p.name.startswith(DRIFT)]
+    size = np.array([known[k].sigma for k in keep])
+    predict = problem.predict
+    assert isinstance(predict, Predict)
+    drift = d.setting_scale**2 * float((predict.drift**2).sum(axis=1).mean())
+    square = np.array([np.mean(d.residuals.sigma[problem.kind == k] ** 2) for k in ("across", "up")])
+    zeros = None
+    if mount.observes == "sky":
+        zeros = mount.zero + np.array([d.values.get(k, 0.0) for k in ("IA", "IE")]) * UNITS["arcsec"]
+    return Learnt(
+        np.sqrt(square + drift) * mount.of_normal,
+        tuple(known[k].name for k in keep),
+        spread[np.ix_(keep, keep)] * size[:, None] * size,
+        zeros,
+    )
 
 
 def _page(result: MountDiagnosis) -> dict[str, Any]:

@@ -96,6 +96,11 @@ class Mount:
         """Of angles in results: arcsec for a telescope, mrad for a heliostat."""
         return "arcsec" if self.observes == "sky" else "mrad"
 
+    @property
+    def of_normal(self) -> float:
+        """Mrad of the normal, or of the tube, in one of `unit`: a beam turns by twice what its mirror does."""
+        return UNITS["arcsec"] / UNITS["mrad"] if self.observes == "sky" else 0.5
+
 
 @dataclass(frozen=True)
 class Records:
