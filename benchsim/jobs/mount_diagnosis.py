@@ -260,8 +260,8 @@ def diagnose_session(
         found = _withdrawn(found, built.problem)
     found = replace(found, next=found.next[:NEXT])
     put = amended(session, built, found)
-    known = learnt(built, found, put)
-    return MountDiagnosis(session, built, found, put, lawful(session, built, found), known, folder)
+    fields = lawful(session, built, found)
+    return MountDiagnosis(session, built, found, put, fields, learnt(built, found, put), folder)
 
 
 def distinct(session: Session) -> Session:

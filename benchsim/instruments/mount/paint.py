@@ -46,7 +46,7 @@ DECLINATION_DEG = 32.0
 def recognises(path: Path) -> bool:
     """Whether a path is of this data base: a folder of recordings or above one, or a file of such a folder."""
     if path.is_dir():
-        return bool(_calibrations(path) or _inner(path) or _heliostats(path))
+        return holds_recordings(path) or bool(_heliostats(path))
     return any(path.match(p) for p in (*CALIBRATION, *HELIOSTAT))
 
 
@@ -93,7 +93,7 @@ def read(folder: Path, tower: Path | None = None) -> Session:
         raise BenchsimError(f"{folder}: is one file of a heliostat's recordings; name the folder that holds them")
     paths = recorded(folder)
     tower = tower if tower is not None else find_tower(folder)
-    heliostat = _heliostat(folder, paths[0].parent)
+    heliostat = heliostat_of(folder)
     mount, absent = paint_heliostat.read(heliostat, tower)
     records, remarks = records_of(folder, tower, mount)
     files = (*paths, heliostat, tower)
@@ -102,11 +102,16 @@ def read(folder: Path, tower: Path | None = None) -> Session:
 
 def bare(path: Path, tower: Path | None = None) -> Session:
     """A heliostat without recordings: the file of its properties, or a folder that holds it; arguments as `read`."""
-    heliostat = _heliostat(path, path) if path.is_dir() else path
+    heliostat = heliostat_of(path) if path.is_dir() else path
     tower = tower if tower is not None else find_tower(heliostat.parent)
     mount, remarks = paint_heliostat.read(heliostat, tower)
     none = Records((), np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3)), ())
     return Session(path.resolve().stem, path, (heliostat, tower), mount, none, remarks)
+
+
+def holds_recordings(folder: Path) -> bool:
+    """Whether a folder, or one within it, holds recordings."""
+    return bool(_calibrations(folder) or _inner(folder))
 
 
 def recorded(folder: Path) -> list[Path]:
@@ -147,11 +152,14 @@ def records_of(folder: Path, tower: Path, mount: Mount) -> tuple[Records, tuple[
     return records, tuple(remarks)
 
 
-def _heliostat(folder: Path, recordings: Path) -> Path:
-    """The heliostat's one file: in the folder, in `PROPERTIES` in or beside it, or above its folder of recordings."""
+def heliostat_of(folder: Path) -> Path:
+    """The heliostat's one file: in the folder, in `PROPERTIES` in or beside it, or above its folder of recordings.
+
+    Where there is none, the file that should be in the folder.
+    """
     here = folder.resolve()
     places = [here, *(p / n for p in (here, here.parent) for n in PROPERTIES)]
-    if recordings.resolve() == here and here.name in RECORDINGS:
+    if here.name in RECORDINGS and _calibrations(here):
         places.append(here.parent)
     for place in places:
         found = _heliostats(place)
