@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.mount import misses
 from benchsim.instruments.mount.geodesy import enu
-from benchsim.instruments.mount.paint_heliostat import ORIGIN
+from benchsim.instruments.mount.paint_heliostat import FAR_M, ORIGIN
 from benchsim.instruments.mount.paint_keys import load, triple
 from benchsim.instruments.mount.records import UNITS, Array, Records, Session, numbers, toward
 from benchsim.jobs import amended_mounts
@@ -75,7 +75,7 @@ class Aim:
         when = self.time.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
         steps = f"{self.motor[0]:.2f} and {self.motor[1]:.2f} steps"
         lines = [
-            f"{self.heliostat} at {self.target}, {when}: motor positions {steps}",
+            f"{self.heliostat}: the beam hits {self.target} on {when} with motor positions {steps}",
             f"  sun at {self.sun[0]:.3f} deg azimuth from north, {self.sun[1]:.3f} deg high",
         ]
         if self.sigma is not None:
@@ -132,7 +132,8 @@ def aim_at(session: Session, target: str, time: str | None) -> Aim:
     azimuth, elevation = sun(when, origin)
     if elevation <= 0:
         raise BenchsimError(
-            f"--time {time}: the sun is {-elevation:.1f} deg below the horizon of {file.name}; name a time of the day"
+            f"--time {time}: the sun is {-elevation:.1f} deg below the horizon of the plant in {file.name} then; name "
+            "a time of its day"
         )
     source = toward(np.radians([azimuth]), np.radians([elevation]))
     counted = numbers(session.records)
@@ -199,6 +200,8 @@ def _place(session: Session, target: str, origin: Array) -> Array:
     if place.shape != (3,) or not np.isfinite(place).all():
         listed = ", ".join(session.mount.targets)
         raise BenchsimError(f"--aim {target}: is no target of {file} ({listed}) and no EAST,NORTH,UP in m; write one")
+    if np.linalg.norm(place) > FAR_M:
+        raise BenchsimError(f"--aim {target}: is {np.linalg.norm(place) / 1e3:.3g} km from the tower; write metres")
     return 1e3 * place
 
 

@@ -225,7 +225,8 @@ def predict(
 def _later(session: Session, recordings: Path) -> tuple[Session, list[str]]:
     """The amended mount with other records, and what is to be said of them."""
     folder = recordings.is_dir()
-    if not stated.recognises(recordings) or not (folder or pointing.recognises(recordings)):
+    read_as_such = folder or (recordings.suffix != ".toml" and pointing.recognises(recordings))
+    if not stated.recognises(recordings) or not read_as_such:
         raise BenchsimError(f"{recordings}: is neither a folder of PAINT recordings nor a pointing file; name one")
     if folder != (session.mount.observes == "spot"):
         here, there = ("a telescope", "a heliostat") if folder else ("a heliostat", "a telescope")
@@ -268,28 +269,25 @@ def _differing(session: Session, heliostat: Path, tower: Path) -> list[str]:
     """What the recordings' own heliostat file says otherwise."""
     here, there = session.mount, paint_heliostat.read(heliostat, tower)[0]
     apart = float(np.linalg.norm(here.position - there.position))
-    if apart > ANOTHER_MM:
+    # A heliostat may be found to stand elsewhere, and its file to say so; an amended.toml names the file as it was.
+    if apart > ANOTHER_MM and session.path.suffix == ".toml":
         raise BenchsimError(
             f"{heliostat}: heliostat_position: {apart / 1e3:.3g} m from that of {session.path}: another heliostat; "
             "name recordings of the same"
         )
-    other = [name for name, same in _alike(here, there).items() if not same]
+    other = [f"place, {apart / 1e3:.3g} m away"] if apart > SAME_MM else []
+    other += [] if _kinematics_alike(here, there) else ["kinematics"]
     if not other:
         return []
     return [
-        f"{heliostat.name} states another {' and '.join(other)} than the file that was learnt from, which is used: the "
-        "heliostat was rebuilt or surveyed anew in between, or one of them is amended."
+        f"{heliostat} states another {' and other '.join(other)} than {session.files[-2]}, which is used: the "
+        "heliostat was rebuilt or surveyed anew in between, or one of the files is amended."
     ]
 
 
-def _alike(a: Mount, b: Mount) -> dict[str, bool]:
-    return {
-        "position": bool(np.abs(a.position - b.position).max() < SAME_MM),
-        "kinematics": a.actuators == b.actuators
-        and all(
-            np.allclose(x, y, atol=1e-9) for x, y in ((a.joints, b.joints), (a.tilts, b.tilts), (a.normal, b.normal))
-        ),
-    }
+def _kinematics_alike(a: Mount, b: Mount) -> bool:
+    pairs = ((a.joints, b.joints), (a.tilts, b.tilts), (a.normal, b.normal))
+    return a.actuators == b.actuators and all(np.allclose(x, y, atol=1e-9) for x, y in pairs)
 
 
 def _among(records: Records, others: Records) -> NDArray[np.bool_]:
