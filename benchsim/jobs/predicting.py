@@ -201,6 +201,9 @@ def predict(
     session = amended_mounts.read(Path(amended), place)
     later, remarks = _later(session, Path(recordings))
     learnt = _among(later.records, session.records)
+    if session.mount.observes == "spot" and session.path.suffix != ".toml":
+        # A heliostat as its file states it was learnt from nothing.
+        learnt[:] = False
     if learnt.any():
         remarks.append(
             f"{learnt.sum()} of {len(learnt)} records were used to learn it; their misses say nothing"
@@ -211,6 +214,9 @@ def predict(
         aimed = None if aim is None else aim_at(session, aim, time)
         progress("predicting", 0.2)
         records = _missed(session, later, learnt)
+        lost = [r.id for r in records if not math.isfinite(r.miss_mrad)]
+        if lost:
+            remarks.append(f"The amended mount cannot reach the readings of {', '.join(lost)}: no triangle closes.")
         result = Prediction(later.title, later.mount.observes == "sky", records, tuple(remarks), aimed, folder)
         write_text(staging / "prediction.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
         write_text(staging / "prediction.csv", _table(result))

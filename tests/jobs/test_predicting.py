@@ -166,6 +166,24 @@ def test_a_heliostat_s_bare_file_is_a_mount_as_stated(heliostat):
         assert r.miss_mrad == r.stated_mrad == pytest.approx(hand.miss(steps, hand.direction(*sun), spot), abs=1e-6)
 
 
+def test_a_folder_of_the_data_base_was_learnt_from_nothing(heliostat):
+    done = predict(heliostat / "late", heliostat / "late", heliostat / "out", draw=False)
+    assert not any(r.learnt for r in done.records)
+    assert len(done.counted) == 9
+    assert not done.remarks
+
+
+def test_readings_that_the_mount_cannot_reach_are_said_and_null(heliostat):
+    """With a lever 300 mm longer no triangle closes at long strokes."""
+    wrong = {"actuator-radius": {"radius_1": 300.0}}
+    hand.write_amended(heliostat / "amended.toml", "early", wrong, PREDICTION.format(0.3, 0.3, 1.0))
+    done = predicted(heliostat)
+    lost = [r.id for r in done.records if not np.isfinite(r.miss_mrad)]
+    assert lost
+    assert all(name in " ".join(done.remarks) for name in lost)
+    assert {r["miss_mrad"] for r in done.as_dict()["records"] if r["id"] in lost} == {None}
+
+
 def test_recordings_without_a_heliostat_s_file_of_their_own(heliostat):
     before = predicted(heliostat).as_dict()
     (heliostat / "late" / "heliostat-properties.json").unlink()
