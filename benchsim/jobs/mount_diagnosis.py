@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,15 +15,14 @@ from threadpoolctl import threadpool_limits
 from benchsim import diagnosis
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
-from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
-from benchsim.instruments.mount import effects, functions, misses, stated
+from benchsim.instruments.mount import effects, functions, stated
 from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.prediction import Predict
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session
+from benchsim.jobs import amended_mounts
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
@@ -50,8 +49,6 @@ NEXT = 5
 
 FEW = 8
 """Records below which it means little that nothing was found."""
-
-DRIFT = "drift."
 
 
 @dataclass(frozen=True)
@@ -138,7 +135,7 @@ class MountDiagnosis:
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``diagnosis.json``."""
         plain = self.diagnosis.as_dict()
-        plain["pulls"] = {k: v for k, v in plain["pulls"].items() if not k.startswith(DRIFT)}
+        plain["pulls"] = {k: v for k, v in plain["pulls"].items() if not k.startswith(amended_mounts.DRIFT)}
         plain["fit"].pop("rms_mm")
         return {
             **plain,
@@ -260,7 +257,7 @@ def diagnose_session(
     found = replace(found, next=found.next[:NEXT])
     put = amended(session, built, found)
     fields = lawful(session, built, found)
-    return MountDiagnosis(session, built, found, put, fields, learnt(built, found, put), folder)
+    return MountDiagnosis(session, built, found, put, fields, amended_mounts.learnt(built, found, put), folder)
 
 
 def distinct(session: Session) -> Session:
@@ -319,42 +316,6 @@ def lawful(session: Session, built: Built, d: Diagnosis) -> dict[str, Function]:
         new = functions.of_law(d.law, form, built.session.records)
         out[form.name] = functions.summed(out[form.name], new) if form.name in out else new
     return out
-
-
-def learnt(built: Built, d: Diagnosis, found: Mapping[str, object]) -> Learnt:
-    """What predictions rest on: errors of a record, and the covariance of everything that is fitted beside ``found``.
-
-    The errors are those about what was put in, by which later records are predicted: 68.27 % of the residuals lie
-    within, so that wrong days do not widen them, and what the fit has used up is given back. (Hypotheses are weighed
-    with an estimate of their own.) A telescope's drift through a night is another one's on the next: to a later record
-    it is scatter. The uncertainty of functions without a name is not in it.
-    """
-    problem, mount = built.problem, built.session.mount
-    own = tuple(p for e in problem.catalogue if e.name in found for p in e.parameters if not p.grid)
-    known = (*problem.nuisances, *own)
-    size = np.array([p.sigma for p in known])
-    prior = np.where([p.scaled for p in known], d.setting_scale, 1.0)
-    slopes = linear.columns(problem, d.values, known) * size
-    rest = np.abs(d.residuals.after.reshape(-1, 2))
-    bulk = np.maximum(np.quantile(rest, misses.SIGMA, axis=0), mount_problem.FAINTEST[mount.unit])
-    sigma = bulk
-    for _ in range(2):
-        spread = linear.posterior(slopes / np.tile(sigma, len(rest))[:, None], prior)
-        used = len(known) - float((np.diag(spread) / prior**2).sum())
-        sigma = bulk * np.sqrt(rest.size / max(rest.size - used, 1.0))
-    predict = problem.predict
-    assert isinstance(predict, Predict)
-    drift = d.setting_scale**2 * float((predict.drift**2).sum(axis=1).mean())
-    zeros = None
-    if mount.observes == "sky":
-        zeros = mount.zero + np.array([d.values.get(k, 0.0) for k in ("IA", "IE")]) * UNITS["arcsec"]
-    keep = [k for k, p in enumerate(known) if not p.name.startswith(DRIFT)]
-    return Learnt(
-        np.sqrt(sigma**2 + drift) * mount.of_normal,
-        tuple(known[k].name for k in keep),
-        (spread * size[:, None] * size)[np.ix_(keep, keep)],
-        zeros,
-    )
 
 
 def _page(result: MountDiagnosis) -> dict[str, Any]:
