@@ -20,9 +20,27 @@ _MODULES = {
     "calibrate": "calibrating",
     "new": "new_recording",
     "check": "checking",
+    "predict": "predicting",
+    "aim": "aiming",
+    "export": "exporting",
 }
 
-__all__ = ["board", "calibrate", "check", "diagnose", "effects", "fit", "new", "render", "report", "run", "validate"]
+__all__ = [
+    "aim",
+    "board",
+    "calibrate",
+    "check",
+    "diagnose",
+    "effects",
+    "export",
+    "fit",
+    "new",
+    "predict",
+    "render",
+    "report",
+    "run",
+    "validate",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -63,12 +63,17 @@ def days(mount: Mount, source: Array) -> NDArray[np.intp]:
     """
     if mount.latitude is None:
         return np.arange(len(source))
-    sine, cosine = np.sin(mount.latitude), np.cos(mount.latitude)
-    declination = np.arcsin(np.clip(source[:, 1] * cosine + source[:, 2] * sine, -1, 1))
-    hours = 12 / np.pi * np.arctan2(-source[:, 0], source[:, 2] * cosine - source[:, 1] * sine)
-    later = np.diff(hours)
+    hour, declination = hour_declination(source, mount.latitude)
+    later = 12 / np.pi * np.diff(hour)
     goes_on = (later > 0) & (np.abs(np.diff(declination)) <= DECLINES * later + ALIKE)
     return np.concatenate([[0], np.cumsum(~goes_on)]).astype(np.intp)
+
+
+def hour_declination(direction: Array, latitude: float) -> tuple[Array, Array]:
+    """Hour angle, growing westward, and declination [rad] of unit vectors (n, 3), seen from a latitude [rad]."""
+    east, north, up = direction.T
+    sine, cosine = np.sin(latitude), np.cos(latitude)
+    return np.arctan2(-east, up * cosine - north * sine), np.arcsin(np.clip(north * cosine + up * sine, -1, 1))
 
 
 def refraction(direction: Array) -> Array:

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from pvlib import spa
+from pvlib import atmosphere, spa
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.mount import sky
@@ -107,7 +107,7 @@ def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -
     """
     azimuth, elevation = seen.T
     suns = {c: toward(np.radians(c.turned(azimuth)), np.radians(elevation)) for c in READINGS}
-    declinations = {c: _hour_declination(s, place[0])[1] for c, s in suns.items()}
+    declinations = {c: _turns(s, place[0])[1] for c, s in suns.items()}
     possible = [c for c in READINGS if np.abs(declinations[c]).max() <= DECLINATION_DEG]
     if not possible:
         k = int(np.argmax(np.abs(declinations[SOUTH_EAST])))
@@ -147,6 +147,28 @@ def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -
         )
     names = [paths[int(k)].name for k in stamped]
     return source, (*remarks, *_clock(names, checks[convention][not clear or apparent < true]))
+
+
+def almanac(times: Array, place: Array, *, apparent: bool = True) -> Array:
+    """Azimuth from north through east and elevation of the sun [deg], (n, 2).
+
+    Reda & Andreas 2004, https://doi.org/10.1016/j.solener.2003.12.003; refraction (pressure by height)
+    lifts the apparent sun.
+
+    Parameters
+    ----------
+    times : (n,) array
+        Seconds since 1970-01-01 UTC.
+    place : (3,) array
+        Latitude, longitude [deg], height [m].
+    """
+    dates = [datetime.fromtimestamp(t, UTC) for t in times]
+    ahead = spa.calculate_deltat(np.array([d.year for d in dates]), np.array([d.month for d in dates]))
+    pressure = atmosphere.alt2pres(place[2]) / 100
+    _, _, lifted, plain, azimuth, _ = spa.solar_position(
+        times, *place, pressure, sky.TEMPERATURE_C, ahead, sky.HORIZON_DEG, numthreads=1
+    )
+    return np.column_stack([azimuth, lifted if apparent else plain])
 
 
 def zone(late: float) -> str | None:
@@ -190,26 +212,18 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _checked(suns: Array, times: Array, place: Array, apparent: bool) -> Check:
-    hour, declination = _hour_declination(suns, place[0])
+    hour, declination = _turns(suns, place[0])
+
+    def known(late: Array) -> tuple[Array, Array]:
+        return _turns(toward(*np.radians(almanac(times - late, place, apparent=apparent)).T), place[0])
+
     late = np.zeros(len(times))
     for _ in range(2):  # the second for the equation of time, which moves by a second in an hour
-        late += 240 * ((_almanac(times - late, place, apparent)[0] - hour + 180) % 360 - 180)
-    return Check(late, declination - _almanac(times - late, place, apparent)[1])
+        late += 240 * ((known(late)[0] - hour + 180) % 360 - 180)
+    return Check(late, declination - known(late)[1])
 
 
-def _almanac(times: Array, place: Array, apparent: bool) -> tuple[Array, Array]:
-    """Hour angle and declination of the sun [deg]; the apparent one is lifted by refraction."""
-    dates = [datetime.fromtimestamp(t, UTC) for t in times]
-    ahead = spa.calculate_deltat(np.array([d.year for d in dates]), np.array([d.month for d in dates]))
-    _, _, lifted, plain, azimuth, _ = spa.solar_position(
-        times, *place, sky.PRESSURE_HPA, sky.TEMPERATURE_C, ahead, sky.HORIZON_DEG, numthreads=1
-    )
-    return _hour_declination(toward(np.radians(azimuth), np.radians(lifted if apparent else plain)), place[0])
-
-
-def _hour_declination(direction: Array, latitude: float) -> tuple[Array, Array]:
-    """Hour angle, growing westward, and declination [deg] of unit vectors (n, 3)."""
-    east, north, up = direction.T
-    sine, cosine = np.sin(np.radians(latitude)), np.cos(np.radians(latitude))
-    hour = np.arctan2(-east, up * cosine - north * sine)
-    return np.degrees(hour), np.degrees(np.arcsin(np.clip(north * cosine + up * sine, -1, 1)))
+def _turns(direction: Array, latitude: float) -> tuple[Array, Array]:
+    """`sky.hour_declination` in degrees."""
+    hour, declination = sky.hour_declination(direction, np.radians(latitude))
+    return np.degrees(hour), np.degrees(declination)

@@ -69,11 +69,17 @@ def read(recordings: Sequence[tuple[Path, Mapping[str, Any]]], heliostat: str) -
     return np.array(times), tuple(files)
 
 
-def _seconds(path: Path, key: str, stamp: Any) -> float:
+def parsed(stamp: Any) -> datetime | None:
+    """A time of ISO 8601, of a year that the sun's place is known in; None if it is none."""
     try:
         time = datetime.fromisoformat(stamp)
-        if not 1950 <= time.year <= 2100:
-            raise ValueError
     except (TypeError, ValueError):
-        raise BenchsimError(f"{path}: {key}: {short(stamp)} is no time; write UTC as 2022-06-12T13:20:13Z") from None
+        return None
+    return time if 1950 <= time.year <= 2100 else None
+
+
+def _seconds(path: Path, key: str, stamp: Any) -> float:
+    time = parsed(stamp)
+    if time is None:
+        raise BenchsimError(f"{path}: {key}: {short(stamp)} is no time; write UTC as 2022-06-12T13:20:13Z")
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()

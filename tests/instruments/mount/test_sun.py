@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from test_readers import RECORD, TOWER, changed, paint_folder, write
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.instruments.mount import paint
+from benchsim.instruments.mount import paint, solar
 from benchsim.jobs.mount_diagnosis import diagnose_session
 
 JUELICH = Path(__file__).resolve().parents[4] / "shared" / "recordings" / "heliostat-juelich"
@@ -89,6 +89,15 @@ def clocks(session):
     return [r for r in session.remarks if r.startswith("clock") or "apart in" in r or "other days" in r]
 
 
+def test_the_sun_stands_where_the_algorithm_s_own_example_has_it():
+    """Reda & Andreas 2004: 2003-10-17 12:30:30 at UTC−7, 39.742476° N, 105.1786° W, 1830.14 m: azimuth 194.34024°,
+    zenith 50.11162° with 820 mbar and 11 °C; pressure by height is that to 1 %."""
+    time = datetime(2003, 10, 17, 19, 30, 30, tzinfo=UTC).timestamp()
+    ((azimuth, elevation),) = solar.almanac(np.array([time]), np.array([39.742476, -105.1786, 1830.14]))
+    assert azimuth == pytest.approx(194.34024, abs=1e-4)
+    assert elevation == pytest.approx(90 - 50.11162, abs=5e-4)
+
+
 def test_stamps_that_agree_are_passed_over_and_show_the_elevation_to_be_apparent(tmp_path):
     folder = stamped(paint_folder(tmp_path, records=recorded()), TIMES)
     session = paint.read(folder)
@@ -96,7 +105,7 @@ def test_stamps_that_agree_are_passed_over_and_show_the_elevation_to_be_apparent
     assert any(r.startswith("Azimuths of the sun are from south through east, as PAINT") for r in session.remarks)
     assert any(r.startswith("Elevations of the sun are apparent") for r in session.remarks)
     np.testing.assert_allclose(session.records.source, sun_at(), atol=1e-9)
-    assert session.files[-2:] == (tmp_path / "timestamps.json", tmp_path / "tower-measurements.json")
+    assert tmp_path / "timestamps.json" in session.files
 
 
 @pytest.mark.parametrize(
@@ -218,7 +227,7 @@ def test_the_methods_differ_on_aa39_by_what_their_own_coordinates_say():
 @pytest.mark.parametrize("name", ["BG15", "BL14"])
 def test_a_field_s_stamps_agree_with_the_sun_and_two_hours_are_seen(tmp_path, name):
     session = paint.read(JUELICH / "field" / name)
-    assert session.files[-2].name == "timestamps.json"
+    assert JUELICH / "field" / "timestamps.json" in session.files
     assert not clocks(session)
     assert any(r.startswith("Elevations of the sun are apparent") for r in session.remarks)
     stamps = json.loads((JUELICH / "field" / "timestamps.json").read_text(encoding="utf-8"))
