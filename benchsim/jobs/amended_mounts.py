@@ -13,9 +13,8 @@ from benchsim.diagnosis import linear
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.mount import misses, paint, stated
 from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.prediction import Predict
 from benchsim.instruments.mount.problem import Built
-from benchsim.instruments.mount.records import UNITS, Learnt, Mount, Session
+from benchsim.instruments.mount.records import UNITS, Function, Learnt, Mount, Session
 
 DRIFT = "drift."
 """Begins the names of what every telescope does beside its terms (`prediction`)."""
@@ -63,37 +62,52 @@ def as_stated(session: Session) -> Mount:
     return replace(bare, zero=mount_problem.zeros(bare, session.records))
 
 
-def learnt(built: Built, d: Diagnosis, found: Mapping[str, object]) -> Learnt:
-    """What predictions rest on: errors of a record, and the covariance of everything that is fitted beside ``found``.
+def learnt(built: Built, d: Diagnosis, put: Mapping[str, dict[str, float]], fields: Mapping[str, Function]) -> Learnt:
+    """What predictions rest on: errors of a record on a day that was not learnt, and the covariance of what was fitted.
 
-    The errors are those about what was put in, by which later records are predicted: 68.27 % of the residuals lie
-    within, so that wrong days do not widen them, and what the fit has used up is given back. (Hypotheses are weighed
-    with an estimate of their own.) A telescope's drift through a night is another one's on the next: to a later record
-    it is scatter. The uncertainty of functions without a name is not in it.
+    Measured are the residuals of the records that were used, about the mount as it is put in: by effects, functions and
+    a telescope's zeros alone, what their days (a telescope: its drift) have in common not taken off. A later record has
+    another day's error beside its own, so that these are √(record² + day²). Of each component 68.27 % of them are
+    within, whereby wrong days do not widen it; that is divided by the part of such errors that the fit leaves,
+    tr((I − H) R (I − H)ᵀ) / n, R being how records of a day, or of a drift, correlate (`problem.shared`), H the fit:
+    n − k of n were they independent. A fit to k parameters takes up more of what few days share than of n errors.
+
+    Hypotheses are weighed with an estimate of their own, which is of single records beside what their days share. The
+    uncertainty of functions without a name is not in the covariance.
+
+    Parameters
+    ----------
+    built : Built
+    d : Diagnosis
+    put, fields
+        All effects and functions that the amended mount states.
     """
-    problem, mount = built.problem, built.session.mount
-    own = tuple(p for e in problem.catalogue if e.name in found for p in e.parameters if not p.grid)
-    known = (*problem.nuisances, *own)
+    problem, session = built.problem, built.session
+    mount, sky = session.mount, session.mount.observes == "sky"
+    own = tuple(p for e in problem.catalogue if e.name in put for p in e.parameters if not p.grid)
+    known = (*(p for p in problem.nuisances if not p.name.startswith(DRIFT)), *own)
     size = np.array([p.sigma for p in known])
-    prior = np.where([p.scaled for p in known], d.setting_scale, 1.0)
     slopes = linear.columns(problem, d.values, known) * size
-    rest = np.abs(d.residuals.after.reshape(-1, 2))
+    zeros = None
+    if sky:
+        zeros = mount.zero + np.array([d.values.get(k, 0.0) for k in ("IA", "IE")]) * UNITS["arcsec"]
+        mount = replace(mount, zero=zeros)
+    n = len(session.records.names)
+    stated = mount_problem.predicted(replace(session, mount=mount, effects=dict(put), fields=fields), ())
+    rest = np.abs(stated.at([{}] * n, np.arange(n)))
     bulk = np.maximum(np.quantile(rest, misses.SIGMA, axis=0), mount_problem.FAINTEST[mount.unit])
+    common = mount_problem.shared(mount, session.records) * (d.setting_scale if sky else 1.0)
+    alike = np.eye(n) + common @ common.T
+    alike = np.kron(alike / np.diag(alike).mean(), np.eye(2))
+    # A heliostat's position is fitted within its survey, and stays in the file as surveyed.
+    stays = np.array([p in problem.nuisances and not sky for p in known])
     sigma = bulk
     for _ in range(2):
-        spread = linear.posterior(slopes / np.tile(sigma, len(rest))[:, None], prior)
-        used = len(known) - float((np.diag(spread) / prior**2).sum())
-        sigma = bulk * np.sqrt(rest.size / max(rest.size - used, 1.0))
-    predict = problem.predict
-    assert isinstance(predict, Predict)
-    drift = d.setting_scale**2 * float((predict.drift**2).sum(axis=1).mean())
-    zeros = None
-    if mount.observes == "sky":
-        zeros = mount.zero + np.array([d.values.get(k, 0.0) for k in ("IA", "IE")]) * UNITS["arcsec"]
-    keep = [k for k, p in enumerate(known) if not p.name.startswith(DRIFT)]
-    return Learnt(
-        np.sqrt(sigma**2 + drift) * mount.of_normal,
-        tuple(known[k].name for k in keep),
-        (spread * size[:, None] * size)[np.ix_(keep, keep)],
-        zeros,
-    )
+        each = np.tile(sigma, n)
+        errors = alike * np.outer(each, each)
+        spread = linear.posterior(np.linalg.solve(np.linalg.cholesky(errors), slopes), np.ones(len(known)))
+        fit = np.linalg.solve(errors, slopes @ spread).T
+        left = np.eye(2 * n) - slopes[:, ~stays] @ fit[~stays]
+        part = np.diag(left @ errors @ left.T).reshape(-1, 2).mean(axis=0) / sigma**2
+        sigma = bulk / np.sqrt(np.maximum(part, 1 / n))
+    return Learnt(sigma * mount.of_normal, tuple(p.name for p in known), spread * size[:, None] * size, zeros)

@@ -96,9 +96,10 @@ class MountDiagnosis:
                 "All records are at nearly one place of the sky: every constant error looks alike there, so that "
                 "hardly any two effects can be told apart; add records at other hours and seasons."
             )
-        across, up = (self.diagnosis.residuals.sigma[b.problem.kind == k].mean() for k in ("across", "up"))
+        across, up = self.learnt.sigma / b.session.mount.of_normal
         out.append(
-            f"Errors of a single record, as the records show them: {across:.3g} {unit} across, {up:.3g} {unit} up."
+            f"Records miss what was put in by {across:.3g} {unit} across and {up:.3g} {unit} up (1 sigma, what a "
+            f"{'night' if unit == 'arcsec' else 'day'} has in common included)."
         )
         if len(b.problem.names) < FEW and self.diagnosis.verdict == "nothing-missing":
             out.append(
@@ -260,7 +261,7 @@ def diagnose_session(
     found = replace(found, next=found.next[:NEXT])
     put = amended(session, built, found)
     fields = lawful(session, built, found)
-    return MountDiagnosis(session, built, found, put, fields, amended_mounts.learnt(built, found, put), folder)
+    return MountDiagnosis(session, built, found, put, fields, amended_mounts.learnt(built, found, put, fields), folder)
 
 
 def distinct(session: Session) -> Session:

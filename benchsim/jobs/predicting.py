@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Mapping
@@ -12,28 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
-from benchsim.instruments.mount import misses, paint, paint_heliostat, pointing, stated
+from benchsim.instruments.mount import later_records, misses
 from benchsim.instruments.mount.json_values import finite, load
-from benchsim.instruments.mount.records import UNITS, Array, Function, Mount, Records, Session
+from benchsim.instruments.mount.records import UNITS, Array, Session
 from benchsim.jobs import amended_mounts
 from benchsim.jobs.aiming import Aim, aim_at
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.report import mount_pictures
-
-ANOTHER_MM = 3500.0
-"""Apart by more, two positions are of two heliostats; a wrong survey is corrected by less (`effects`)."""
-
-SAME_MM = 0.1
-"""Positions that differ by less are equal: a file has them in degrees."""
-
-ORDER = "time.order"
-"""The function of the record's number (`attachments`)."""
 
 TOLD = 20
 """Records of a summary; the file has all."""
@@ -199,8 +188,8 @@ def predict(
     progress("reading the records", 0.0)
     place = None if tower is None else Path(tower)
     session = amended_mounts.read(Path(amended), place)
-    later, remarks = _later(session, Path(recordings))
-    learnt = _among(later.records, session.records)
+    later, remarks = later_records.read(session, Path(recordings))
+    learnt = later_records.among(later.records, session.records)
     if session.mount.observes == "spot" and session.path.suffix != ".toml":
         # A heliostat as its file states it was learnt from nothing.
         learnt[:] = False
@@ -219,91 +208,13 @@ def predict(
             remarks.append(f"The amended mount cannot reach the readings of {', '.join(lost)}: no triangle closes.")
         result = Prediction(later.title, later.mount.observes == "sky", records, tuple(remarks), aimed, folder)
         write_text(staging / "prediction.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
-        write_text(staging / "prediction.csv", _table(result))
+        write_text(staging / "prediction.csv", pd.DataFrame(result.as_dict()["records"]).to_csv(index=False))
         write_text(staging / "summary.txt", result.text() + "\n")
         if draw:
             progress("drawing", 0.8)
             _draw(staging / "prediction.png", result)
     progress("done", 1.0)
     return result
-
-
-def _later(session: Session, recordings: Path) -> tuple[Session, list[str]]:
-    """The amended mount with other records, and what is to be said of them."""
-    folder = recordings.is_dir()
-    read_as_such = folder or (recordings.suffix != ".toml" and pointing.recognises(recordings))
-    if not stated.recognises(recordings) or not read_as_such:
-        raise BenchsimError(f"{recordings}: is neither a folder of PAINT recordings nor a pointing file; name one")
-    if folder != (session.mount.observes == "spot"):
-        here, there = ("a telescope", "a heliostat") if folder else ("a heliostat", "a telescope")
-        raise BenchsimError(
-            f"{recordings}: holds records of {there}, {session.path} is of {here}; name two of one mount"
-        )
-    if folder:
-        tower = session.files[-1]
-        records, read, said = paint.records_of(recordings, tower, session.mount)
-        own = paint.heliostat_of(recordings)
-        remarks = [*said, *(_differing(session, own, tower) if own.exists() else ())]
-        files = (*session.files[-2:], *read)
-    else:
-        other = pointing.read(recordings)
-        records, files = other.records, (recordings,)
-        remarks = list(other.remarks)
-    later = replace(session, title=recordings.resolve().stem, records=records)
-    if not folder and recordings.resolve() != session.files[-1].resolve():
-        later, more = _after(later)
-        remarks += more
-    named = (session.path, *files) if session.path.is_file() else files
-    return replace(later, files=tuple(dict.fromkeys(named))), remarks
-
-
-def _after(later: Session) -> tuple[Session, list[str]]:
-    """A telescope on another night: what went with time is as it ended, since its stars are counted anew."""
-    effects, fields, said = dict(later.effects), dict(later.fields), []
-    if "change-point" in effects:
-        effects["change-point"] = {**effects["change-point"], "change": -1.0}
-        said.append("The mount's change was in another night; all of these records are taken to be after it.")
-    if ORDER in fields:
-        last = int(np.argmax(fields[ORDER].knots[:, 0]))
-        values = {k: v[[last]] for k, v in fields[ORDER].values.items()}
-        fields[ORDER] = Function(fields[ORDER].knots[[last]], values)
-        said.append("What went with the number of the record is taken as it was at the end of the night learnt from.")
-    return replace(later, effects=effects, fields=fields), said
-
-
-def _differing(session: Session, heliostat: Path, tower: Path) -> list[str]:
-    """What the recordings' own heliostat file says otherwise."""
-    here, there = session.mount, paint_heliostat.read(heliostat, tower)[0]
-    apart = float(np.linalg.norm(here.position - there.position))
-    # A heliostat may be found to stand elsewhere, and its file to say so; an amended.toml names the file as it was.
-    if apart > ANOTHER_MM and session.path.suffix == ".toml":
-        raise BenchsimError(
-            f"{heliostat}: heliostat_position: {apart / 1e3:.3g} m from that of {session.path}: another heliostat; "
-            "name recordings of the same"
-        )
-    other = [f"place, {apart / 1e3:.3g} m away"] if apart > SAME_MM else []
-    other += [] if _kinematics_alike(here, there) else ["kinematics"]
-    if not other:
-        return []
-    return [
-        f"{heliostat} states another {' and other '.join(other)} than {session.files[-2]}, which is used: the "
-        "heliostat was rebuilt or surveyed anew in between, or one of the files is amended."
-    ]
-
-
-def _kinematics_alike(a: Mount, b: Mount) -> bool:
-    pairs = ((a.joints, b.joints), (a.tilts, b.tilts), (a.normal, b.normal))
-    return a.actuators == b.actuators and all(np.allclose(x, y, atol=1e-9) for x, y in pairs)
-
-
-def _among(records: Records, others: Records) -> NDArray[np.bool_]:
-    """Which records are among others, by what they read and where the light came from, whatever their names."""
-
-    def rows(r: Records) -> list[tuple[float, ...]]:
-        return [tuple(row) for row in np.column_stack([r.reading, r.source]).round(9).tolist()]
-
-    known = set(rows(others))
-    return np.array([row in known for row in rows(records)], bool)
 
 
 def _missed(session: Session, later: Session, learnt: NDArray[np.bool_]) -> tuple[Miss, ...]:
@@ -343,13 +254,3 @@ def _figures(values: list[float]) -> tuple[float | None, float | None]:
     """Median and rms of those that are known."""
     known = [v for v in values if math.isfinite(v)]
     return (float(np.median(known)), float(np.sqrt(np.mean(np.square(known))))) if known else (None, None)
-
-
-def _table(result: Prediction) -> str:
-    """``prediction.csv``; what is not known is empty."""
-    out = io.StringIO()
-    rows = [r.as_dict() for r in result.records]
-    writer = csv.DictWriter(out, list(Miss.__dataclass_fields__), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return out.getvalue()

@@ -16,6 +16,7 @@ import numpy as np
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.mount.records import Array, toward
+from benchsim.vector.sun import horizontal
 
 
 @dataclass(frozen=True)
@@ -120,14 +121,12 @@ def misses(stars: Array, sky: Array, latitude: float) -> dict[Convention, float]
     latitude : float
         [rad]
     """
-    h, d = np.radians(sky).T
-    north = np.sin(d) * np.cos(latitude) - np.cos(d) * np.cos(h) * np.sin(latitude)
-    up = np.sin(d) * np.sin(latitude) + np.cos(d) * np.cos(h) * np.cos(latitude)
-    sky = np.stack([-np.cos(d) * np.sin(h), north, up], axis=-1)
+    hour, declination = np.radians(sky).T
+    there = toward(*horizontal(latitude, declination, hour))
     out = {}
     for convention in CONVENTIONS:
         written = toward(np.radians(convention.turned(stars[:, 0])), np.radians(stars[:, 1]))
-        chord = np.linalg.norm(written - sky, axis=1)
+        chord = np.linalg.norm(written - there, axis=1)
         out[convention] = float(np.degrees(np.median(2 * np.arcsin(np.clip(chord / 2, 0, 1)))))
     return out
 

@@ -74,7 +74,8 @@ def covariances(session: Session, learnt: Learnt, *, single: bool = True) -> Arr
     session : Session
     learnt : Learnt
     single : bool
-        Whether the errors of a single record count, beside those of what was fitted.
+        Whether the errors of a record count, its day's among them, beside those of what was fitted. How a mount changes
+        from season to season is in neither.
     """
     known = {p.name: p for p in mount_problem.fitted(session)}
     own = tuple(known[name] for name in learnt.parameters)
@@ -82,16 +83,7 @@ def covariances(session: Session, learnt: Learnt, *, single: bool = True) -> Arr
     problem = problem_of(mount_problem.predicted(session, every), (), 1.0)
     slopes = linear.columns(problem, {}, own).reshape(-1, 2, len(own)) * session.mount.of_normal
     fitted = slopes @ learnt.covariance @ slopes.transpose(0, 2, 1)
-    return np.asarray(fitted + scatter(learnt) if single else fitted)
-
-
-def scatter(learnt: Learnt) -> Array:
-    """Covariance of the errors of one later record, (2, 2) [mrad² of the normal].
-
-    As the records that were learnt from scattered about their own fit. What days have in common, and a fit to few days
-    absorbs, is not in it: a scatter from day to day would be added here.
-    """
-    return np.diag(learnt.sigma**2)
+    return np.asarray(fitted + np.diag(learnt.sigma**2) if single else fitted)
 
 
 def radius(covariance: Array, probability: float = SIGMA) -> float:

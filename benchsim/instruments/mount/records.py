@@ -152,7 +152,7 @@ class Learnt:
     Attributes
     ----------
     sigma : (2,) array
-        Errors of a single record, across and up [mrad of the normal].
+        Errors of a record on a day that was not learnt, across and up [mrad of the normal]: its own, and its day's.
     parameters : tuple of str
         What was fitted: parameters of effects, and what may differ without being an effect.
     covariance : (k, k) array

@@ -15,7 +15,7 @@
     IE_mrad = [0.0, 1.1, 1.9]
 
     [prediction]                        # how sure it is, which only predictions need; optional
-    sigma_mrad = [0.2, 0.4]             # errors of a single record, across and up, mrad of the normal
+    sigma_mrad = [0.2, 0.4]             # errors of a record on another day, across and up, mrad of the normal
     parameters = ["survey_e", "tilt_n"] # what was fitted, and its covariance in the units of the catalogue
     covariance = [[310.0, -1.2], [-1.2, 0.5]]
     zeros_arcsec = [1205.2, 2.9]        # telescopes: of the encoders, IA and IE, true less read

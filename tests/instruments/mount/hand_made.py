@@ -133,10 +133,10 @@ def suns(count, seed):
     return np.column_stack([rng.uniform(110, 250, count), rng.uniform(22, 48, count)])
 
 
-def recorded(count, e=None, seed=1):
-    """Steps, sun's angles [deg] and spots of a heliostat that is aimed as if it were faultless."""
+def recorded(count, e=None, seed=1, at=None):
+    """Steps, sun's angles [deg] (``at``, or drawn) and spots of a heliostat that is aimed as if it were faultless."""
     rows = []
-    for sun in suns(count, seed):
+    for sun in suns(count, seed) if at is None else at:
         source, way = direction(*sun), TARGET - PLACE
         normal = source + way / np.linalg.norm(way)
         steps = steps_for(normal / np.linalg.norm(normal)).round()
