@@ -155,7 +155,7 @@ def _parsed(time: str | None) -> datetime:
     when = stamps.parsed(time)
     if when is None or when.tzinfo is None:
         raise BenchsimError(
-            f"--time {time or ''}: is no time with a zone; write it like 2024-06-21T10:00:00Z, Z being UTC"
+            f"--time {time or ''}: is no time with a zone, 1950 to 2100; write it like 2024-06-21T10:00:00Z (UTC)"
         )
     return when
 

@@ -97,9 +97,10 @@ class MountDiagnosis:
                 "hardly any two effects can be told apart; add records at other hours and seasons."
             )
         across, up = self.learnt.sigma / b.session.mount.of_normal
+        of, span = ("", "night") if unit == "arcsec" else (" of the beam", "day")
         out.append(
-            f"Records miss what was put in by {across:.3g} {unit} across and {up:.3g} {unit} up (1 sigma, what a "
-            f"{'night' if unit == 'arcsec' else 'day'} has in common included)."
+            f"Records miss what was put in by {across:.3g} {unit} across and {up:.3g} {unit} up (1 sigma{of}, what a "
+            f"{span} has in common included)."
         )
         if len(b.problem.names) < FEW and self.diagnosis.verdict == "nothing-missing":
             out.append(
