@@ -92,7 +92,7 @@ def read(folder: Path, tower: Path | None = None) -> Session:
     heliostat = heliostat_of(folder)
     mount, absent = paint_heliostat.read(heliostat, tower)
     records, files, remarks = records_of(folder, tower, mount)
-    return Session(folder.resolve().name, folder, (*files, heliostat, tower), mount, records, (*absent, *remarks))
+    return Session(folder.resolve().name, folder, (*files, heliostat, tower), mount, records, (*remarks, *absent))
 
 
 def bare(path: Path, tower: Path | None = None) -> Session:
