@@ -178,6 +178,33 @@ def diagnose(
     _do(jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures, tower=tower)
 
 
+Scheduler = Annotated[
+    str | None, typer.Option(help="Address of a running dask scheduler; its workers must see the same folders.")
+]
+Processes = Annotated[
+    int | None, typer.Option("--workers", min=0, help="Local processes; default one per core; 0: in this one.")
+]
+
+
+@app.command()
+def field(
+    heliostats: Annotated[Path, typer.Argument(help="Folder of heliostats' PAINT folders, or a CSV with id and path.")],
+    output: Output = None,
+    tower: Tower = None,
+    scheduler: Scheduler = None,
+    workers: Processes = None,
+    pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw every heliostat's.")] = False,
+    json: Json = False,
+) -> None:
+    """Diagnose every heliostat of a field, and what they share; one that was stopped goes on."""
+    from benchsim import jobs
+
+    _do(
+        jobs.field, json, source=heliostats, output=output, tower=tower, scheduler=scheduler, workers=workers,
+        draw=pictures,
+    )  # fmt: skip
+
+
 Amended = Annotated[
     Path, typer.Argument(help="amended.toml of a mount; or a heliostat's properties in the PAINT format.")
 ]
@@ -314,12 +341,6 @@ TrialSeed = Annotated[
 ]
 Shrink = Annotated[int, typer.Option(min=1, max=4, help="Divides the cameras' 2000 x 1500 pixels.")]
 Zero = Annotated[bool, typer.Option("--zero", help="The leak test's trial: every amplitude zero, all else the same.")]
-Scheduler = Annotated[
-    str | None, typer.Option(help="Address of a running dask scheduler; its workers must see the same folders.")
-]
-Processes = Annotated[
-    int | None, typer.Option("--workers", min=0, help="Local processes; default one per core; 0: in this one.")
-]
 
 
 @trial_app.command(

@@ -18,10 +18,11 @@ from benchsim.bench.writing import write_text
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
-from benchsim.instruments.mount import effects, functions, solar, stated
+from benchsim.instruments.mount import effects, functions, shared_causes, solar, stated
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session
+from benchsim.instruments.mount.shared_causes import Shared
 from benchsim.jobs import amended_mounts
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
@@ -110,14 +111,19 @@ class MountDiagnosis:
         clock = next((f.parameters["dt"] for f in self.diagnosis.effects if f.name == "clock"), None)
         if clock is not None and (zone := solar.zone(-clock.value)):
             out.append(f"{zone}: so the spots have it (dt = {clock.value:.0f} ± {clock.sigma:.0f} s).")
-        step = next((f for f in self.diagnosis.effects if f.name == "change-point"), None)
-        if step is not None:
-            kept = b.session.records.names
-            name = kept[min(int(np.ceil(step.parameters["change"].value)), len(kept) - 1)]
+        if self.changed_at:
             # Counted as the files do, records that were set aside among them.
-            number = self.session.records.names.index(name) + 1
-            out.append(f"Changed at record {number}: from {name} on the mount is another; diagnose both parts apart.")
+            number = self.session.records.names.index(self.changed_at) + 1
+            since = f"from {self.changed_at} on the mount is another"
+            out.append(f"Changed at record {number}: {since}; diagnose both parts apart.")
         return tuple(out)
+
+    @property
+    def changed_at(self) -> str:
+        """Name of the first record of a mount that changed; empty where it did not."""
+        step = next((f for f in self.diagnosis.effects if f.name == "change-point"), None)
+        kept = self.built.session.records.names
+        return "" if step is None else kept[min(int(np.ceil(step.parameters["change"].value)), len(kept) - 1)]
 
     @property
     def encoder_zeros(self) -> tuple[tuple[float, float], ...]:
@@ -183,6 +189,8 @@ def diagnose(
     *,
     tower: Path | None = None,
     draw: bool = True,
+    shared: Sequence[Shared] = (),
+    without: Sequence[str] = (),
     progress: Progress = silent,
 ) -> MountDiagnosis:
     """Say what drifts in a mount, from its recordings alone.
@@ -197,6 +205,10 @@ def diagnose(
         Tower file of PAINT recordings.
     draw : bool
         Whether to draw pictures.
+    shared : sequence of Shared
+        What the mount's field shares: it is stated beforehand.
+    without : sequence of str
+        Effects that are not looked for.
     progress : callable
 
     Returns
@@ -210,9 +222,9 @@ def diagnose(
     """
     folder = Path(output) if output is not None else default_folder(source, "diagnose")
     progress("reading the records", 0.0)
-    session = stated.read(source, tower)
+    session = shared_causes.applied(stated.read(source, tower), shared)
     with output_folder(folder, "diagnose", session.files, {"pictures": draw}) as staging:
-        result = diagnose_session(session, folder, progress=progress)
+        result = diagnose_session(session, folder, without=without, progress=progress)
         write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
         write_text(staging / "summary.txt", result.text() + "\n")
         stated.write(session, result.found, result.fields, staging / "amended.toml", folder, result.learnt)

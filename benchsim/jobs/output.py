@@ -18,7 +18,7 @@ from typing import Any
 import benchsim
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Recording
-from benchsim.bench.writing import permit
+from benchsim.bench.writing import permit, write_text
 
 STAMP = "benchsim.json"
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-image")
@@ -88,6 +88,23 @@ def output_folder(
         raise
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def begun_folder(target: Path, command: str, *inputs: Path) -> None:
+    """Make a folder that a command fills piece by piece, each written whole; one that it has begun is gone on with.
+
+    Raises
+    ------
+    BenchsimError
+        If the folder cannot be used, as in `output_folder`.
+    """
+    _refuse_unusable(target.absolute(), command, inputs)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        if not (target / STAMP).is_file():
+            write_text(target / STAMP, json.dumps(_stamp(command, (), {}, ()), indent=1) + "\n")
+    except OSError as error:
+        raise BenchsimError(f"{target}: cannot be written ({error.strerror}); choose another folder with -o") from None
 
 
 def _refuse_unusable(target: Path, command: str, inputs: Sequence[Path]) -> None:

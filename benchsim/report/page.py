@@ -32,7 +32,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from benchsim.report import page_plots, page_trial, page_words, vocabulary
+from benchsim.report import page_field, page_plots, page_trial, page_words, vocabulary
 
 FORMAT = "benchsim-page/1"
 
@@ -126,6 +126,24 @@ def trial_page(score: Mapping[str, Any], stamp: Mapping[str, Any]) -> str:
         ``benchsim.json``, or an empty mapping.
     """
     return _environment().get_template("trial.html.j2").render(stamp=stamp, **page_trial.shown(score))
+
+
+def field_page(field: Mapping[str, Any], title: str, shared: Sequence[str]) -> str:
+    """HTML of a field of heliostats.
+
+    Parameters
+    ----------
+    field : mapping
+        ``field.json``.
+    title : str
+    shared : sequence of str
+        What all share, a sentence each.
+    """
+    return (
+        _environment()
+        .get_template("field.html.j2")
+        .render(title=title, shared=shared, stamp={}, **page_field.shown(field))
+    )
 
 
 def _recording(

@@ -13,11 +13,11 @@ from typing import Any
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
+from benchsim.jobs.cluster import Each, beside, cluster
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trial import cases as making
 from benchsim.trial import draws, equalised, ledger
 from benchsim.trial.cases import Plan
-from benchsim.trial.cluster import Each, beside, cluster
 from benchsim.trial.generator_test import certify
 from benchsim.trial.hashing import canonical, code, commitment, derived, digest, files_of, rng_of
 

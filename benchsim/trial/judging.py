@@ -15,9 +15,9 @@ from typing import Any
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read
 from benchsim.bench.writing import write_text
+from benchsim.jobs.cluster import Each, beside, cluster
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trial import ledger
-from benchsim.trial.cluster import Each, beside, cluster
 from benchsim.trial.hashing import canonical, code, files_of
 
 Diagnose = Callable[[Path, Path, Path, Sequence[str]], None]

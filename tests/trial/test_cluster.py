@@ -14,8 +14,8 @@ import pytest
 
 from benchsim import trial
 from benchsim.bench.errors import BenchsimError
+from benchsim.jobs.cluster import cluster
 from benchsim.trial import ledger
-from benchsim.trial.cluster import cluster
 
 HERE = Path(__file__).parent
 

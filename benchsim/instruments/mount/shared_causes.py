@@ -1,0 +1,365 @@
+"""What the heliostats of a field have in common: causes of one target, of the tower, the clock, the sun's model.
+
+One heliostat cannot tell whether its mirror or the target stands elsewhere; many can. About a robust fit of all that a
+heliostat's own catalogue and the shared causes s could do together (`diagnosis.forward`), its records are linear in
+both. With the nuisances, and the amplitudes of a set i of its own effects, integrated (`diagnosis.linear`), they say
+
+    ln Z_i(s) = z_i + b_iᵀ s − ½ sᵀ G_i s ,
+
+for every set of up to three effects, their prior of presence included. A heliostat whose days went wrong is a witness
+of nothing: with the prior probability `OWN` what it shows is its own, explained as well as the best cause would explain
+it if it were this heliostat's alone, O. The field's likelihood is the product over heliostats
+
+    L(s) = Π [ (1 − OWN) Σ_i Z_i(s) + OWN · O ] ,
+
+so that no heliostat moves ln L by more than ln 1/`OWN`, and what is said to be shared is borne out by most. Each set of
+causes has its evidence by Laplace's method about the largest L(s) p(s); causes are added, dropped and exchanged until
+nothing gains.
+
+Not for causes that act on a heliostat by its square: all is to first order about the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, combinations, pairwise
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from benchsim.diagnosis import forward, linear
+from benchsim.diagnosis.degeneracy import LIKELY, MISSING
+from benchsim.diagnosis.evidence import amplitudes, log_prior, shapes
+from benchsim.diagnosis.problem import Parameter, Problem
+from benchsim.instruments.mount import effects
+from benchsim.instruments.mount import problem as mount_problem
+from benchsim.instruments.mount.records import Array, Session
+
+OWN = 0.05
+"""Prior probability that a heliostat says nothing of the field: 3 in ln Z is the most that any one can say."""
+
+HEARD = 0.1
+"""Gain in ln Z from which on a heliostat counts as one that bears a cause out."""
+
+TOGETHER = 3
+"""Own effects of a heliostat in one set."""
+
+NEAR, MOST = 20.0, 32
+"""ln Z behind a heliostat's best set, with whatever causes, up to which sets are kept, and how many."""
+
+FEWEST = 3
+"""Heliostats below which a field says nothing of what they share."""
+
+OF_THE_FIELD = ("target-position", "refraction", "clock")
+"""Effects of the catalogue that are no single heliostat's."""
+
+ACTUATORS = ("actuator-length", "actuator-offset", "actuator-radius")
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What heliostats may share: its parameters' names, and how a heliostat's file states it.
+
+    Attributes
+    ----------
+    name, says : str
+    terms : tuple of (str, str, str, float)
+        Of each parameter its own name, and effect, term and factor by which it is stated.
+    """
+
+    name: str
+    says: str
+    terms: tuple[tuple[str, str, str, float], ...]
+
+
+@dataclass(frozen=True)
+class Witness:
+    """What one heliostat says of the shared causes.
+
+    Attributes
+    ----------
+    name : str
+    sets : tuple of tuple of str
+        Of its own effects.
+    log_z, projection, gram : (m,), (m, k), (m, k, k)
+        z, b and G of the module for each set, by the causes' parameters in prior sigmas, in the order of ``causes``'.
+    own : float
+        O of the module.
+    """
+
+    name: str
+    sets: tuple[tuple[str, ...], ...]
+    log_z: Array
+    projection: Array
+    gram: Array
+    own: float
+
+
+@dataclass(frozen=True)
+class Shared:
+    """A cause that the field shows.
+
+    Attributes
+    ----------
+    cause : Cause
+    probability : float
+        That it is there, of all sets of causes that were weighed.
+    values, sigma, units : mapping
+        By parameter.
+    witnesses : int
+        Heliostats whose records are more probable with it than without.
+    """
+
+    cause: Cause
+    probability: float
+    values: Mapping[str, float]
+    sigma: Mapping[str, float]
+    units: Mapping[str, str]
+    witnesses: int
+
+
+def causes(targets: Sequence[str]) -> tuple[Cause, ...]:
+    """What the heliostats of a plant with these targets may share."""
+    hang = tuple(
+        Cause(
+            f"target {t}",
+            f"The target {t} hangs elsewhere than stated, for every heliostat.",
+            tuple((f"target_{a}_{k}", "target-position", f"target_{a}_{k}", 1.0) for a in "eu"),
+        )
+        for k, t in enumerate(targets, 1)
+    )
+    # Targets that all move by d are heliostats that all move by −d.
+    tower = tuple((f"tower_{a}", "mirror-position", f"mirror_{a}", -1.0) for a in "enu")
+    actuators = tuple(
+        Cause(
+            f"batch {e}",
+            f"All heliostats' actuators share an error: {e}.",
+            tuple((f"{e.partition('-')[2]}_{k}", e, f"{e.partition('-')[2]}_{k}", 1.0) for k in (1, 2)),
+        )
+        for e in ACTUATORS
+    )
+    return (
+        *hang,
+        Cause("tower", "The tower with all its targets stands elsewhere than stated, for every heliostat.", tower),
+        Cause("clock", "One clock is wrong for every heliostat.", (("dt", "clock", "dt", 1.0),)),
+        Cause("refraction", "The sun's model is wrong for every heliostat.", (("refr", "refraction", "refr", 1.0),)),
+        *actuators,
+    )
+
+
+def parameters(session: Session, many: Sequence[Cause]) -> tuple[Parameter, ...]:
+    """The causes' parameters with prior sigma and unit, in their order."""
+    known = {
+        (e.name, p.name): p
+        for e in effects.candidates(session.mount, session.records, every=True)
+        for p in e.parameters
+    }
+    return tuple(replace(known[effect, term], name=name) for c in many for name, effect, term, _ in c.terms)
+
+
+def witness(name: str, session: Session, many: Sequence[Cause]) -> Witness:
+    """What a heliostat's records say of causes.
+
+    Raises
+    ------
+    BenchsimError
+        As `problem.build`.
+    """
+    known = {e.name: e for e in effects.candidates(session.mount, session.records, every=True)}
+    terms = [(next(p for p in known[e].parameters if p.name == t), f) for c in many for _, e, t, f in c.terms]
+    catalogue = [e for e in effects.candidates(session.mount, session.records) if not shapes(e)]
+    wanted = dict.fromkeys(e for c in many for _, e, _, _ in c.terms)
+    every = [*(e for e in catalogue if e.name not in wanted), *(known[n] for n in wanted)]
+    problem = mount_problem.build(session, attached=False, catalogue=every).problem
+    own = [e for e in catalogue if e.name not in OF_THE_FIELD]
+    parts = [problem.nuisances, *(amplitudes(e) for e in own), [p for p, _ in terms]]
+    first = np.cumsum([0, *(len(part) for part in parts)])
+    m = _marginal(problem, list(chain.from_iterable(parts)), np.array([f for _, f in terms]))
+    common = np.arange(first[-2], first[-1]) - first[1]
+    sets, log_z, projection, gram = [], [], [], []
+    for chosen in chain.from_iterable(combinations(range(len(own)), n) for n in range(TOGETHER + 1)):
+        at = np.concatenate([np.arange(first[i + 1], first[i + 2]) - first[1] for i in chosen] or [np.zeros(0, int)])
+        inner, cross = m.gram[np.ix_(at, at)] + np.eye(len(at)), m.gram[np.ix_(at, common)]
+        both = np.linalg.solve(inner, np.column_stack([m.projection[at], cross]))
+        gain = 0.5 * m.projection[at] @ both[:, 0] - 0.5 * np.linalg.slogdet(inner)[1]
+        sets.append(tuple(own[i].name for i in chosen))
+        log_z.append(float(gain) + log_prior(sets[-1], [e.name for e in own]))
+        projection.append(m.projection[common] - cross.T @ both[:, 0])
+        gram.append(m.gram[np.ix_(common, common)] - cross.T @ both[:, 1:])
+    z, b, g = np.array(log_z), np.array(projection), np.array(gram)
+    alone = max(float((z + _integrated(b, g, at)).max()) for at in ([], *_places(many)))
+    reach = z + _integrated(b, g, range(len(terms)))
+    keep = np.argsort(-reach)[:MOST]
+    keep = np.union1d(keep[reach[keep] > reach.max() - NEAR], np.argmax(z))
+    return Witness(name, tuple(sets[i] for i in keep), z[keep], b[keep], g[keep], alone)
+
+
+def _marginal(problem: Problem, many: Sequence[Parameter], factors: Array) -> linear.Marginal:
+    """Products of amplitudes' columns, the last of them times ``factors``, about a robust fit of all; the problem's
+    nuisances, which come first in ``many``, integrated, and data weighted as that fit weighs them."""
+    distinct = list({p.name: p for p in many}.values())
+    lower, place = linear.factors(problem.covariance), {p.name: i for i, p in enumerate(distinct)}
+    at = forward.fitted(problem, distinct, lower, {})
+    columns = linear.columns(problem, at, tuple(distinct))
+    white = linear.lowered(lower, problem.data - linear.predict_all(problem, at))
+    root = (1 + white**2) ** -0.25
+    target = root * (white + linear.lowered(lower, columns @ [at[p.name] for p in distinct]))
+    own = columns[:, [place[p.name] for p in many]] * [p.sigma for p in many]
+    own = root[:, None] * linear.lowered(lower, own)
+    own[:, len(many) - len(factors) :] *= factors
+    p = len(problem.nuisances)
+    ground = linear.Linear(target, own[:, :p], np.zeros(p, bool), own[:, :0], (), problem.block, 0.0)
+    return linear.marginal(ground, own[:, p:])
+
+
+def _integrated(projection: Array, gram: Array, places: Sequence[int]) -> Array:
+    """ln of what some causes add to the evidence of every set, integrated over their unit priors, (m,)."""
+    b, inner = projection[:, places], gram[:, places][:, :, places] + np.eye(len(places))
+    solved = np.linalg.solve(inner, b[:, :, None])[:, :, 0]
+    return np.asarray(0.5 * (b * solved).sum(axis=1) - 0.5 * np.linalg.slogdet(inner)[1])
+
+
+def _places(many: Sequence[Cause]) -> list[list[int]]:
+    """Numbers of every cause's parameters."""
+    first = np.cumsum([0, *(len(c.terms) for c in many)])
+    return [list(range(a, b)) for a, b in pairwise(first.tolist())]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """What a field shows.
+
+    Attributes
+    ----------
+    shared : tuple of Shared
+        Of the best set of causes, those at `LIKELY` or above.
+    rivals : tuple of (tuple of str, float)
+        Sets of causes within `MISSING` in ln Z of the best, and how far behind each is.
+    """
+
+    shared: tuple[Shared, ...]
+    rivals: tuple[tuple[tuple[str, ...], float], ...]
+
+
+def joint(witnesses: Sequence[Witness], many: Sequence[Cause], own: Sequence[Parameter]) -> Joint:
+    """The causes that heliostats share.
+
+    Parameters
+    ----------
+    witnesses : sequence of Witness
+    many : sequence of Cause
+    own : sequence of Parameter
+        Of the causes, in their order (`parameters`).
+    """
+    if len(witnesses) < FEWEST:
+        return Joint((), ())
+    field, places, names = _Field.of(witnesses), _places(many), [c.name for c in many]
+    known: dict[tuple[int, ...], tuple[float, Array, Array]] = {}
+
+    def weigh(chosen: tuple[int, ...]) -> float:
+        if chosen not in known:
+            known[chosen] = field.peak([i for c in chosen for i in places[c]])
+        return known[chosen][0] + log_prior([names[c] for c in chosen], names)
+
+    best: tuple[int, ...] = ()
+    while True:
+        added = [tuple(sorted({*best, c})) for c in range(len(many)) if c not in best]
+        dropped = [tuple(x for x in best if x != c) for c in best]
+        swapped = [tuple(sorted({*d, c})) for d in dropped for c in range(len(many)) if c not in best]
+        top = max([best, *added, *dropped, *swapped], key=weigh)
+        if top == best:
+            break
+        best = top
+    z = {chosen: weigh(chosen) for chosen in known}
+    total = float(logsumexp(list(z.values())))
+    at, sigma = np.zeros(field.projection.shape[2]), np.zeros(field.projection.shape[2])
+    where = [i for c in best for i in places[c]]
+    at[where], sigma[where] = known[best][1], known[best][2]
+    shared = []
+    for c in best:
+        probability = float(np.exp(logsumexp([v for s, v in z.items() if c in s]) - total))
+        without = at.copy()
+        without[places[c]] = 0.0
+        bears = int((field.each(at) > field.each(without) + HEARD).sum())
+        values, sizes = ({own[i].name: float(x[i] * own[i].sigma) for i in places[c]} for x in (at, sigma))
+        units = {own[i].name: own[i].unit for i in places[c]}
+        # By chance some agree on anything: what is shared is borne out by most of those that could see it.
+        if probability >= LIKELY and 2 * bears > field.seeing(places[c]):
+            shared.append(Shared(many[c], probability, values, sizes, units, bears))
+    rivals = sorted(((tuple(names[c] for c in s), z[best] - v) for s, v in z.items()), key=lambda x: x[1])
+    return Joint(tuple(shared), tuple(r for r in rivals[1:] if r[1] < MISSING))
+
+
+@dataclass(frozen=True)
+class _Field:
+    """All witnesses' sets in one array each, (H, m, …), those that are none at −inf."""
+
+    log_z: Array
+    projection: Array
+    gram: Array
+    own: Array
+
+    @staticmethod
+    def of(witnesses: Sequence[Witness]) -> _Field:
+        m, k = max(len(w.log_z) for w in witnesses), witnesses[0].projection.shape[1]
+        out = _Field(
+            np.full((len(witnesses), m), -np.inf),
+            np.zeros((len(witnesses), m, k)),
+            np.zeros((len(witnesses), m, k, k)),
+            np.array([w.own for w in witnesses]),
+        )
+        for h, w in enumerate(witnesses):
+            n = len(w.log_z)
+            out.log_z[h, :n], out.projection[h, :n], out.gram[h, :n] = w.log_z, w.projection, w.gram
+        return out
+
+    def each(self, s: Array) -> Array:
+        """ln of every heliostat's factor of L(s), (H,)."""
+        z = self.log_z + self.projection @ s - 0.5 * np.einsum("hmij,i,j->hm", self.gram, s, s)
+        both = np.concatenate([np.log1p(-OWN) + z, (np.log(OWN) + self.own)[:, None]], axis=1)
+        return np.asarray(logsumexp(both, axis=1))
+
+    def seeing(self, places: Sequence[int]) -> int:
+        """How many heliostats know some parameters better than their priors do, by their most probable set."""
+        best = self.gram[np.arange(len(self.gram)), np.argmax(self.log_z, axis=1)]
+        return int((best[:, places, places] > 1.0).any(axis=1).sum())
+
+    def peak(self, places: list[int]) -> tuple[float, Array, Array]:
+        """ln of the evidence with some parameters free, their most probable values and 1 sigma of these."""
+        b, g = self.projection[:, :, places], self.gram[:, :, places][:, :, :, places]
+        some = replace(self, projection=b, gram=g)
+        if not places:
+            return float(some.each(np.zeros(0)).sum()), np.zeros(0), np.zeros(0)
+
+        def slopes(s: Array) -> tuple[float, Array, Array]:
+            z = self.log_z + b @ s - 0.5 * np.einsum("hmij,i,j->hm", g, s, s)
+            weight = np.exp(np.log1p(-OWN) + z - some.each(s)[:, None])
+            slope = b - g @ s
+            mean = np.einsum("hm,hmi->hi", weight, slope)
+            curved = np.einsum("hm,hmij->ij", weight, g) - np.einsum("hm,hmi,hmj->ij", weight, slope, slope)
+            value = float(some.each(s).sum() - 0.5 * s @ s)
+            return value, mean.sum(axis=0) - s, curved + mean.T @ mean + np.eye(len(s))
+
+        lone = np.linalg.solve(g + np.eye(len(places)), b[..., None])[..., 0]
+        first = lone[np.arange(len(lone)), np.argmax(self.log_z + 0.5 * (b * lone).sum(axis=2), axis=1)]
+        ends = [
+            minimize(lambda s: [-v for v in slopes(s)[:2]], start, jac=True, method="BFGS")
+            for start in (np.zeros(len(places)), np.median(first, axis=0))
+        ]
+        end = min(ends, key=lambda e: e.fun).x
+        value, _, curved = slopes(end)
+        values, turn = np.linalg.eigh(curved)
+        values = np.maximum(values, 1e-9)
+        return value - 0.5 * float(np.log(values).sum()), end, np.sqrt(((turn**2) / values).sum(axis=1))
+
+
+def applied(session: Session, shared: Sequence[Shared]) -> Session:
+    """A session whose file states what its field shares."""
+    out = {name: dict(terms) for name, terms in session.effects.items()}
+    for cause in shared:
+        for name, effect, term, factor in cause.cause.terms:
+            own = out.setdefault(effect, {})
+            own[term] = own.get(term, 0.0) + factor * cause.values[name]
+    return replace(session, effects=out)

@@ -1,0 +1,381 @@
+"""``benchsim field``: every heliostat of a field diagnosed, and what they share found from all of them together.
+
+First every heliostat says, by linear algebra, what its records show of causes that a field shares
+(`instruments.mount.shared_causes`); then each is diagnosed on its own, what the field shares put into its file. Of
+three heliostats and more, a target, the clock and the sun's model are the field's and are not looked for in a single
+one. Every heliostat has a folder of its own, as ``benchsim diagnose`` writes it; a field that was stopped goes on where
+it was, and a heliostat whose files, or whose field, have changed is done again.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.writing import write_text
+from benchsim.instruments.mount import paint, shared_causes
+from benchsim.instruments.mount import problem as mount_problem
+from benchsim.instruments.mount.records import Array, Session
+from benchsim.instruments.mount.shared_causes import Joint, Shared, Witness
+from benchsim.jobs import mount_diagnosis
+from benchsim.jobs.cluster import cluster
+from benchsim.jobs.mount_diagnosis import MountDiagnosis
+from benchsim.jobs.output import begun_folder, default_folder
+from benchsim.jobs.progress import Progress, silent
+from benchsim.report import page
+
+FORMAT = "benchsim-field/1"
+
+ROW = "field-row.json"
+"""What a field keeps of a heliostat, in its folder."""
+
+INDEX = ("id", "path")
+"""Columns that a list of heliostats has to have; ``tower`` may be a third."""
+
+
+@dataclass(frozen=True)
+class Heliostat:
+    """One heliostat of a field: its name, folder, and tower file where that was named."""
+
+    name: str
+    folder: Path
+    tower: Path | None
+
+
+@dataclass(frozen=True)
+class FieldDiagnosis:
+    """A finished field.
+
+    Attributes
+    ----------
+    rows : tuple of mapping
+        Of every heliostat, as ``field.json`` holds them.
+    joint : Joint
+        What they share.
+    lost : tuple of str
+        A sentence for every heliostat that could not be used.
+    remarks : tuple of str
+    folder : Path
+    """
+
+    rows: tuple[Mapping[str, Any], ...]
+    joint: Joint
+    lost: tuple[str, ...]
+    remarks: tuple[str, ...]
+    folder: Path
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``field.json``."""
+        return {
+            "format": FORMAT,
+            "shared": [
+                {
+                    "name": s.cause.name,
+                    "says": s.cause.says,
+                    "probability": s.probability,
+                    "parameters": {
+                        k: {"value": v, "sigma": s.sigma[k], "unit": s.units[k]} for k, v in s.values.items()
+                    },
+                    "witnesses": s.witnesses,
+                }
+                for s in self.joint.shared
+            ],
+            "rivals": [{"causes": list(names), "behind": behind} for names, behind in self.joint.rivals],
+            "heliostats": list(self.rows),
+            "lost": list(self.lost),
+            "remarks": list(self.remarks),
+        }
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        n = len(self.rows)
+        before, after = (np.array([r[f"miss_{w}_mrad"] for r in self.rows], float) for w in ("before", "after"))
+        lines = [f"{n} heliostats diagnosed" + (f", {len(self.lost)} not" if self.lost else "") + "."]
+        if n:
+            lines.append(
+                f"Median miss of a record, mrad of the mirror's normal, median heliostat: {np.median(before):.2f} as "
+                f"stated, {np.median(after):.2f} with what was found."
+            )
+        lines += ["", *(f"SHARED: {told(s, n)}" for s in self.joint.shared), *self.remarks]
+        names = Counter(e["name"] for row in self.rows for e in row["effects"])
+        if names:
+            listed = ", ".join(f"{name} {count}" for name, count in names.most_common())
+            lines += ["", f"Said of heliostats, of how many: {listed}."]
+        verdicts = Counter(row["verdict"] for row in self.rows)
+        lines += [f"Verdicts: {', '.join(f'{v} {count}' for v, count in verdicts.most_common())}."] if n else []
+        lines += [f"Not used: {sentence}" for sentence in self.lost[:5]]
+        if len(self.lost) > 5:
+            lines.append(f"… and {len(self.lost) - 5} more, in field.json.")
+        return "\n".join([*lines, "", f"written: {self.folder}/ (report.html, field.csv, field.json)"])
+
+
+def told(shared: Shared, heliostats: int) -> str:
+    """A shared cause in a sentence."""
+    sizes = ", ".join(f"{k} = {v:.4g} ± {shared.sigma[k]:.2g} {shared.units[k]}" for k, v in shared.values.items())
+    return (
+        f"{shared.cause.says} {sizes}; borne out by {shared.witnesses} of {heliostats} heliostats, probability "
+        f"{'above 99.99' if shared.probability > 0.9999 else f'{100 * shared.probability:.2f}'} %."
+    )
+
+
+def field(
+    source: Path,
+    output: Path | str | None = None,
+    *,
+    tower: Path | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    draw: bool = False,
+    progress: Progress = silent,
+) -> FieldDiagnosis:
+    """Diagnose every heliostat of a field, and what they share.
+
+    Parameters
+    ----------
+    source : Path
+        A folder of PAINT folders, one for each heliostat, or a CSV file with the columns ``id``, ``path`` (relative to
+        the file) and, if it is not beside or above, ``tower``.
+    output : path, optional
+        Default ``./NAME-field/``. What is finished in it is kept.
+    tower : Path, optional
+        Tower file of all heliostats; default it is looked for beside and above each.
+    scheduler : str, optional
+        Address of a Dask scheduler, whose workers must see the same folders; default processes of this machine.
+    workers : int, optional
+        Of this machine; default one per core, 0: everything in this process.
+    draw : bool
+        Whether to draw pictures of every heliostat.
+    progress : callable
+
+    Returns
+    -------
+    FieldDiagnosis
+
+    Raises
+    ------
+    BenchsimError
+        If the field or the folder cannot be used. A heliostat that cannot is said in `FieldDiagnosis.lost`.
+    """
+    source = Path(source)
+    folder = Path(output) if output is not None else default_folder(source, "field")
+    everyone = heliostats(source, tower)
+    begun_folder(folder, "field", everyone[0].folder)
+    lost: dict[str, str] = {}
+    with cluster(scheduler, workers) as each:
+
+        def all_of(
+            function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], what: str, start: float, end: float
+        ) -> Iterator[tuple[int, Any]]:
+            for done, (k, result) in enumerate(each(function, tasks), 1):
+                progress(f"{what} ({done} of {len(tasks)})", start + (end - start) * done / len(tasks))
+                yield k, result
+
+        heard: dict[int, Witness] = {}
+        for k, result in all_of(witness_of, [(h,) for h in everyone], "what the heliostats share", 0.0, 0.15):
+            if isinstance(result, Witness):
+                heard[k] = result
+            else:
+                lost[everyone[k].name] = sentence(everyone[k], result)
+        joint = _joint([heard[k] for k in sorted(heard)], everyone)
+        together = len(heard) >= shared_causes.FEWEST
+        usable = [everyone[k] for k in sorted(heard)]
+        rows: dict[str, Mapping[str, Any]] = {}
+        tasks = [(h, (folder / h.name).absolute(), joint.shared, together, draw) for h in usable]
+        for k, result in all_of(row_of, tasks, "heliostats", 0.15, 0.97):
+            if isinstance(result, Mapping):
+                rows[usable[k].name] = result
+            else:
+                lost[usable[k].name] = sentence(usable[k], result)
+    remarks = []
+    if not together:
+        remarks.append(
+            f"What heliostats share cannot be told from {len(heard)}: a mirror that stands elsewhere and a target that "
+            f"does look alike to one; {shared_causes.FEWEST} or more with the same targets tell them apart."
+        )
+    elif not joint.shared:
+        open_ones = [" with ".join(names) or "nothing" for names, _ in joint.rivals]
+        remarks.append(
+            "Nothing is shown that all share"
+            + (f"; these cannot be told from the best: {', '.join(open_ones)}." if open_ones else ".")
+        )
+    found = FieldDiagnosis(
+        tuple(rows[h.name] for h in everyone if h.name in rows), joint, tuple(lost.values()), tuple(remarks), folder
+    )
+    _write(found, folder)
+    progress("done", 1.0)
+    return found
+
+
+def heliostats(source: Path, tower: Path | None) -> list[Heliostat]:
+    """The heliostats of a folder or of a list."""
+    if source.is_file():
+        return _listed(source, tower)
+    if not source.is_dir():
+        raise BenchsimError(f"{source}: no such folder; name the folder that holds the heliostats' folders, or a list")
+    inner = sorted(p for p in source.iterdir() if p.is_dir() and not p.name.startswith(".") and paint.recognises(p))
+    if not inner:
+        raise BenchsimError(
+            f"{source}: holds no folder of a heliostat's PAINT files; name the folder above them, or a CSV file with "
+            "the columns id and path"
+        )
+    return [Heliostat(p.name, p, tower) for p in inner]
+
+
+def _listed(source: Path, tower: Path | None) -> list[Heliostat]:
+    try:
+        rows = list(csv.DictReader(io.StringIO(source.read_text(encoding="utf-8-sig"))))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BenchsimError(f"{source}: is no list of heliostats ({error}); write a CSV with id and path") from None
+    out: dict[str, Heliostat] = {}
+    for number, row in enumerate(rows, 2):
+        missing = next((key for key in INDEX if not (row.get(key) or "").strip()), None)
+        if missing:
+            raise BenchsimError(f"{source}, line {number}: {missing}: is missing; the columns are id, path and tower")
+        name, own = row["id"].strip(), (row.get("tower") or "").strip()
+        if name in out or Path(name).name != name or name.startswith("."):
+            raise BenchsimError(f"{source}, line {number}: id: {name!r} is there twice or no name; mend it")
+        place = source.parent / row["path"].strip()
+        out[name] = Heliostat(name, place, source.parent / own if own else tower)
+    if not out:
+        raise BenchsimError(f"{source}: lists no heliostat; write a line for each, with id and path")
+    return list(out.values())
+
+
+@threadpool_limits.wrap(limits=1)
+def witness_of(heliostat: Heliostat) -> Witness:
+    """What one heliostat says of what the field shares."""
+    session = mount_diagnosis.distinct(paint.read(heliostat.folder, heliostat.tower))
+    return shared_causes.witness(heliostat.name, session, shared_causes.causes(session.mount.targets))
+
+
+def _joint(heard: Sequence[Witness], everyone: Sequence[Heliostat]) -> Joint:
+    """What the heliostats share; those of another plant's targets are no witnesses of this one's."""
+    if len(heard) < shared_causes.FEWEST:
+        return Joint((), ())
+    width = {w.projection.shape[1] for w in heard}
+    if len(width) > 1:
+        raise BenchsimError(
+            f"{everyone[0].folder.parent}: the heliostats' tower files list different targets; name one with --tower"
+        )
+    first = next(h for h in everyone if h.name == heard[0].name)
+    session = paint.read(first.folder, first.tower)
+    many = shared_causes.causes(session.mount.targets)
+    return shared_causes.joint(heard, many, shared_causes.parameters(session, many))
+
+
+def row_of(
+    heliostat: Heliostat, target: Path, shared: Sequence[Shared], together: bool, draw: bool
+) -> Mapping[str, Any]:
+    """One heliostat diagnosed into its folder, unless that is done already, and its row."""
+    session = paint.read(heliostat.folder, heliostat.tower)
+    key = _key(session, shared, together, draw)
+    kept = target / ROW
+    if kept.is_file():
+        try:
+            row: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
+        except ValueError:
+            row = {}
+        if row.get("key") == key:
+            return row
+    result = mount_diagnosis.diagnose(
+        heliostat.folder,
+        target,
+        tower=heliostat.tower,
+        draw=draw,
+        shared=shared,
+        without=shared_causes.OF_THE_FIELD if together else (),
+    )
+    row = {"key": key, **_row(heliostat, session, result)}
+    write_text(kept, json.dumps(row, allow_nan=False) + "\n")
+    return row
+
+
+def _key(session: Session, shared: Sequence[Shared], together: bool, draw: bool) -> str:
+    """Of everything that a heliostat's result rests on."""
+    digest = hashlib.sha256()
+    for path in session.files:
+        digest.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    digest.update(json.dumps([[asdict(s) for s in shared], together, draw], sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+def _row(heliostat: Heliostat, session: Session, result: MountDiagnosis) -> dict[str, Any]:
+    d, position = result.diagnosis, session.mount.position / 1e3
+    distance = np.linalg.norm(session.records.spot - session.mount.position, axis=1)
+    off = {
+        "before": _beam_off(session),
+        "after": _beam_off(replace(session, effects=result.found, fields=result.fields)),
+    }
+    size = {w: np.linalg.norm(x, axis=1) for w, x in off.items()}
+    return {
+        "id": heliostat.name,
+        "east_m": float(position[0]),
+        "north_m": float(position[1]),
+        "up_m": float(position[2]),
+        "records": len(session.records.names),
+        "verdict": d.verdict,
+        "causes": [f.name for f in d.effects]
+        + [" or ".join("+".join(m) or "nothing" for m in c.members) for c in d.classes],
+        "effects": [asdict(f) for f in d.effects],
+        "classes": [[list(m) for m in c.members] for c in d.classes],
+        **{f"miss_{w}_mrad": float(np.median(x)) / 2 for w, x in size.items()},
+        **{f"miss_{w}_m": float(np.median(x * 1e-3 * distance)) / 1e3 for w, x in size.items()},
+        "changed_at": result.changed_at,
+        "set_aside": list(result.built.aside),
+        "next": d.next[0].what if d.next else "",
+        "page": f"{heliostat.name}/report.html",
+    }
+
+
+def _beam_off(session: Session) -> Array:
+    """Predicted less recorded beam of every record, (n, 2) [mrad]."""
+    predict = mount_problem.predicted(session, [])
+    x = {name: np.full(1, value) for name, value in predict.stated.items()}
+    return predict.inside(x, np.arange(len(session.records.names)))
+
+
+def sentence(heliostat: Heliostat, error: Any) -> str:
+    """What kept a heliostat from being used."""
+    return str(error) if isinstance(error, BenchsimError) else f"{heliostat.folder}: {type(error).__name__}: {error}"
+
+
+COLUMNS = (
+    "id,east_m,north_m,up_m,records,verdict,causes,sizes,miss_before_mrad,miss_after_mrad,miss_before_m,miss_after_m,"
+    "changed_at,set_aside,next,page"
+).split(",")
+
+
+def _write(found: FieldDiagnosis, folder: Path) -> None:
+    out = io.StringIO()
+    table = csv.writer(out, lineterminator="\n")
+    table.writerow(COLUMNS)
+    for row in found.rows:
+        flat = {
+            **row,
+            "causes": "; ".join(row["causes"]),
+            "sizes": "; ".join(
+                f"{k} = {p['value']:.4g} ± {p['sigma']:.2g} {p['unit']}"
+                for e in row["effects"]
+                for k, p in e["parameters"].items()
+            ),
+            "set_aside": "; ".join(row["set_aside"]),
+        }
+        table.writerow([f"{flat[c]:.6g}" if isinstance(flat[c], float) else flat[c] for c in COLUMNS])
+    write_text(folder / "field.csv", out.getvalue())
+    plain = found.as_dict()
+    write_text(folder / "field.json", json.dumps(plain, indent=1, allow_nan=False) + "\n")
+    title = folder.resolve().name
+    write_text(
+        folder / "report.html", page.field_page(plain, title, [told(s, len(found.rows)) for s in found.joint.shared])
+    )
