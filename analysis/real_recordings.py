@@ -24,7 +24,7 @@ from benchsim.diagnosis.result import chosen
 from benchsim.instruments.mount import paint, pointing, sky
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import Session
-from benchsim.jobs.mount_diagnosis import MountDiagnosis, diagnose_session, zero_sigma
+from benchsim.jobs.mount_diagnosis import MountDiagnosis, diagnose_session
 
 Array = NDArray[np.float64]
 
@@ -106,9 +106,7 @@ def telescope(path: Path, terms: dict[str, float] | None) -> tuple[str, tuple[Ar
     lines.append(f"  most probable first: {', '.join(ranked[:4])}")
     if terms is not None:
         sizes = {k: (s.value, s.sigma) for f in d.effects for k, s in f.parameters.items()}
-        zero, spread = r.built.session.mount.zero * 648000 / np.pi, zero_sigma(r.built, d)
-        for k, name in enumerate(("IA", "IE")):
-            sizes[name] = (zero[k] + d.values.get(name, 0.0), spread[k])
+        sizes |= dict(zip(("IA", "IE"), r.encoder_zeros, strict=True))
         in_class = {n for c in d.classes for m in c.members for n in m}
         for name, value in terms.items():
             if name in sizes:

@@ -158,6 +158,9 @@ InDoubt = Annotated[
 ]
 
 
+Tower = Annotated[Path | None, typer.Option(help="Tower file of PAINT recordings; default: beside or above.")]
+
+
 @app.command()
 def diagnose(
     recording: Annotated[
@@ -166,9 +169,7 @@ def diagnose(
     output: Output = None,
     against: InDoubt = Against.bench,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw what was found.")] = True,
-    tower: Annotated[
-        Path | None, typer.Option(help="Tower file of PAINT recordings; default: beside or above.")
-    ] = None,
+    tower: Tower = None,
     json: Json = False,
 ) -> None:
     """Say what the simulation lacks: where, what, how large, and what to do; or what would have been seen."""
@@ -189,7 +190,7 @@ Processes = Annotated[
 def field(
     heliostats: Annotated[Path, typer.Argument(help="Folder of heliostats' PAINT folders, or a CSV with id and path.")],
     output: Output = None,
-    tower: Annotated[Path | None, typer.Option(help="Tower file of all; default: beside or above each.")] = None,
+    tower: Tower = None,
     scheduler: Scheduler = None,
     workers: Processes = None,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw every heliostat's.")] = False,
@@ -202,6 +203,64 @@ def field(
         jobs.field, json, source=heliostats, output=output, tower=tower, scheduler=scheduler, workers=workers,
         draw=pictures,
     )  # fmt: skip
+
+
+Amended = Annotated[
+    Path, typer.Argument(help="amended.toml of a mount; or a heliostat's properties in the PAINT format.")
+]
+
+
+@app.command()
+def predict(
+    amended: Amended,
+    recordings: Annotated[
+        Path | None, typer.Argument(help="PAINT folder, or a telescope's pointing file; not needed with --aim.")
+    ] = None,
+    output: Output = None,
+    aim: Annotated[
+        str | None, typer.Option(help="Motor positions that hit: a target's name, or EAST,NORTH,UP in m.")
+    ] = None,
+    time: Annotated[str | None, typer.Option(help="Of the aim, like 2024-06-21T10:00:00Z.")] = None,
+    tower: Tower = None,
+    pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the misses.")] = True,
+    json: Json = False,
+) -> None:
+    """By how much an amended mount misses in recordings that were not used; or motor positions that hit."""
+    from benchsim import jobs
+
+    if (aim is None) != (time is None):
+        raise typer.BadParameter("give both --aim and --time, or neither", param_hint="--aim")
+    if recordings is None:
+        if aim is None:
+            raise typer.BadParameter("name recordings to predict, or --aim and --time", param_hint="RECORDINGS")
+        if output is not None:
+            raise typer.BadParameter("an aim alone is only printed; leave it out", param_hint="-o")
+        _do(jobs.aim, json, amended=amended, target=aim, time=time, tower=tower)
+        return
+    _do(
+        jobs.predict, json, amended=amended, recordings=recordings, output=output, tower=tower, aim=aim, time=time,
+        draw=pictures,
+    )  # fmt: skip
+
+
+@app.command()
+def export(
+    amended: Amended,
+    paint: Annotated[
+        bool, typer.Option("--paint", help="As a heliostat's properties file of the PAINT data base.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="File to write; default ./NAME-heliostat-properties.json.")
+    ] = None,
+    tower: Tower = None,
+    json: Json = False,
+) -> None:
+    """Write an amended heliostat as a file that other simulations read."""
+    from benchsim import jobs
+
+    if not paint:
+        raise typer.BadParameter("say --paint: there is no other format", param_hint="--paint")
+    _do(jobs.export, json, amended=amended, output=output, tower=tower)
 
 
 @app.command()

@@ -21,17 +21,23 @@ _MODULES = {
     "calibrate": "calibrating",
     "new": "new_recording",
     "check": "checking",
+    "predict": "predicting",
+    "aim": "aiming",
+    "export": "exporting",
 }
 
 __all__ = [
+    "aim",
     "board",
     "calibrate",
     "check",
     "diagnose",
     "effects",
+    "export",
     "field",
     "fit",
     "new",
+    "predict",
     "render",
     "report",
     "run",

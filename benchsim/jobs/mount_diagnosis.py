@@ -15,16 +15,15 @@ from threadpoolctl import threadpool_limits
 from benchsim import diagnosis
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
-from benchsim.diagnosis import linear
-from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
-from benchsim.instruments.mount import effects, functions, shared_causes, stated
+from benchsim.instruments.mount import effects, functions, shared_causes, solar, stated
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
-from benchsim.instruments.mount.records import UNITS, Function, Session
+from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session
 from benchsim.instruments.mount.shared_causes import Shared
+from benchsim.jobs import amended_mounts
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
@@ -52,8 +51,6 @@ NEXT = 5
 FEW = 8
 """Records below which it means little that nothing was found."""
 
-DRIFT = "drift."
-
 
 @dataclass(frozen=True)
 class MountDiagnosis:
@@ -70,6 +67,8 @@ class MountDiagnosis:
         Stated effects with what was found added, in the catalogue's units.
     fields : mapping of str to Function
         Stated functions with a law added.
+    learnt : Learnt
+        What predictions rest on beside both.
     folder : Path
     """
 
@@ -78,6 +77,7 @@ class MountDiagnosis:
     diagnosis: Diagnosis
     found: dict[str, dict[str, float]]
     fields: dict[str, Function]
+    learnt: Learnt
     folder: Path
 
     @cached_property
@@ -86,12 +86,10 @@ class MountDiagnosis:
         b, unit = self.built, self.built.session.mount.unit
         out = [*self.session.remarks, *b.remarks]
         if unit == "arcsec":
-            zero = b.session.mount.zero / UNITS["arcsec"]
-            values, sizes = self.diagnosis.values, zero_sigma(b, self.diagnosis)
-            ia, ie = (zero[k] + values.get(n, 0.0) for k, n in enumerate(("IA", "IE")))
+            (ia, more), (ie, less) = self.encoder_zeros
             out.append(
-                f"The encoders' zeros are fitted in every hypothesis: IA = {ia:.2f} ± {sizes[0]:.2f}, IE = {ie:.2f} ± "
-                f"{sizes[1]:.2f} arcsec (true less read)."
+                f"The encoders' zeros are fitted in every hypothesis: IA = {ia:.2f} ± {more:.2f}, IE = {ie:.2f} ± "
+                f"{less:.2f} arcsec (true less read)."
             )
         sun = b.session.records.source
         if np.degrees(np.arccos(np.clip((sun @ sun.T).min(), -1.0, 1.0))) < NARROW_DEG:
@@ -99,15 +97,20 @@ class MountDiagnosis:
                 "All records are at nearly one place of the sky: every constant error looks alike there, so that "
                 "hardly any two effects can be told apart; add records at other hours and seasons."
             )
-        across, up = (self.diagnosis.residuals.sigma[b.problem.kind == k].mean() for k in ("across", "up"))
+        across, up = self.learnt.sigma / b.session.mount.of_normal
+        of, span = ("", "night") if unit == "arcsec" else (" of the beam", "day")
         out.append(
-            f"Errors of a single record, as the records show them: {across:.3g} {unit} across, {up:.3g} {unit} up."
+            f"Records miss what was put in by {across:.3g} {unit} across and {up:.3g} {unit} up (1 sigma{of}, what a "
+            f"{span} has in common included)."
         )
         if len(b.problem.names) < FEW and self.diagnosis.verdict == "nothing-missing":
             out.append(
                 f"From {len(b.problem.names)} records little can be told from chance: what is missing may be as large "
                 "as the residuals; add records."
             )
+        clock = next((f.parameters["dt"] for f in self.diagnosis.effects if f.name == "clock"), None)
+        if clock is not None and (zone := solar.zone(-clock.value)):
+            out.append(f"{zone}: so the spots have it (dt = {clock.value:.0f} ± {clock.sigma:.0f} s).")
         if self.changed_at:
             # Counted as the files do, records that were set aside among them.
             number = self.session.records.names.index(self.changed_at) + 1
@@ -123,6 +126,14 @@ class MountDiagnosis:
         return "" if step is None else kept[min(int(np.ceil(step.parameters["change"].value)), len(kept) - 1)]
 
     @property
+    def encoder_zeros(self) -> tuple[tuple[float, float], ...]:
+        """A telescope's IA and IE with 1 sigma [arcsec], beside everything that was found."""
+        known = self.learnt
+        assert known.zeros is not None
+        sigma = [float(np.sqrt(known.covariance[k, k])) for k in map(known.parameters.index, ("IA", "IE"))]
+        return tuple(zip((known.zeros / UNITS["arcsec"]).tolist(), sigma, strict=True))
+
+    @property
     def lost(self) -> tuple[str, ...]:
         """Records that were set aside, one sentence each."""
         unit = self.built.session.mount.unit
@@ -135,7 +146,7 @@ class MountDiagnosis:
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``diagnosis.json``."""
         plain = self.diagnosis.as_dict()
-        plain["pulls"] = {k: v for k, v in plain["pulls"].items() if not k.startswith(DRIFT)}
+        plain["pulls"] = {k: v for k, v in plain["pulls"].items() if not k.startswith(amended_mounts.DRIFT)}
         plain["fit"].pop("rms_mm")
         return {
             **plain,
@@ -216,7 +227,7 @@ def diagnose(
         result = diagnose_session(session, folder, without=without, progress=progress)
         write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
         write_text(staging / "summary.txt", result.text() + "\n")
-        stated.write(session, result.found, result.fields, staging / "amended.toml", folder)
+        stated.write(session, result.found, result.fields, staging / "amended.toml", folder, result.learnt)
         write_text(staging / "page.json", json.dumps(_page(result), allow_nan=False) + "\n")
     if draw:
         progress("drawing", 0.9)
@@ -261,7 +272,9 @@ def diagnose_session(
         built = replace(built, remarks=(*built.remarks, remark))
         found = _withdrawn(found, built.problem)
     found = replace(found, next=found.next[:NEXT])
-    return MountDiagnosis(session, built, found, amended(session, built, found), lawful(session, built, found), folder)
+    put = amended(session, built, found)
+    fields = lawful(session, built, found)
+    return MountDiagnosis(session, built, found, put, fields, amended_mounts.learnt(built, found, put, fields), folder)
 
 
 def distinct(session: Session) -> Session:
@@ -320,17 +333,6 @@ def lawful(session: Session, built: Built, d: Diagnosis) -> dict[str, Function]:
         new = functions.of_law(d.law, form, built.session.records)
         out[form.name] = functions.summed(out[form.name], new) if form.name in out else new
     return out
-
-
-def zero_sigma(built: Built, d: Diagnosis) -> tuple[float, float]:
-    """1 sigma of a telescope's encoder zeros beside everything that was found, in arcsec."""
-    problem, claimed = built.problem, {*(f.name for f in d.effects), *chosen(d)}
-    own = tuple(p for e in problem.catalogue if e.name in claimed for p in e.parameters if not p.grid)
-    covariance = tuple(np.diag(d.residuals.sigma[problem.rows(b)] ** 2) for b in range(len(problem.names)))
-    lin = absorb(problem, linear.linearise(problem, d.values, own, covariance))
-    spread = linear.nuisance_posterior(lin, lin.residual, d.setting_scale)[1]
-    sigma = {p.name: p.sigma * float(np.sqrt(spread[k, k])) for k, p in enumerate(problem.nuisances)}
-    return sigma["IA"], sigma["IE"]
 
 
 def _page(result: MountDiagnosis) -> dict[str, Any]:

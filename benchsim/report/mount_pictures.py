@@ -1,4 +1,4 @@
-"""Pictures of a mount's diagnosis: residuals over the sky and by the number of the record."""
+"""Pictures of a mount's diagnosis: residuals over the sky and by the number of the record; and of its predictions."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from benchsim.diagnosis.result import Residuals
@@ -71,4 +72,46 @@ def residuals(path: Path, source: Array, r: Residuals, unit: str, title: str) ->
         axes.set(xlabel="number of the record", ylabel=f"{word} ({unit})")
     figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncol=4, frameon=False)
     figure.suptitle(f"{title}: recorded less predicted direction, over the sky and by record", fontsize=10)
+    _save(figure, path)
+
+
+def prediction(
+    path: Path, miss: Array, sigma: Array, stated: Array, learnt: NDArray[np.bool_], unit: str, title: str
+) -> None:
+    """Misses by the number of the record, amended and as stated, with their predicted sigma.
+
+    Parameters
+    ----------
+    path : Path
+    miss, sigma, stated : (n,) array
+        Of the mount as amended, predicted, and of the mount as stated; nan where there is none.
+    learnt : (n,) bool array
+        Records that the mount was amended by.
+    unit : str
+    title : str
+    """
+    number = np.arange(1, len(miss) + 1)
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    _plain(axes)
+    values = np.concatenate([miss, sigma, stated])
+    values = values[np.isfinite(values) & (values > 0)]
+    least, most = (values.min() / 1.5, values.max() * 1.5) if len(values) else (0.1, 1.0)
+    known = np.isfinite(sigma)
+    if known.any():
+        band = np.where(known, sigma, least)
+        axes.fill_between(number, least, band, step="mid", color="#cfe6d4", linewidth=0, label="predicted, 68 %")
+    axes.plot(number, stated, "o", color=STATED, markersize=3.5, markerfacecolor="none", label="as stated")
+    axes.plot(number[~learnt], miss[~learnt], "o", color=EXPLAINED, markersize=3.5, label="as amended")
+    if learnt.any():
+        axes.plot(number[learnt], miss[learnt], "x", color=GREY, markersize=4, label="as amended, learnt from")
+    # As stated they may be a hundred times those that are amended.
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.set_ylim(least, most)
+    axes.set(xlabel="number of the record", ylabel=f"miss ({unit})")
+    axes.legend(fontsize=8, frameon=False, ncol=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    figure.suptitle(title, fontsize=10)
     _save(figure, path)

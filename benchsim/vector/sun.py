@@ -109,12 +109,14 @@ def sun_angles(latitude: float, day_of_year: int, solar_hour: ArrayLike) -> tupl
     return horizontal(latitude, solarposition.declination_spencer71(day_of_year), hour_angle)
 
 
-def horizontal(latitude: float, declination: float, hour_angle: ArrayLike) -> tuple[Array, Array]:
+def horizontal(latitude: float, declination: ArrayLike, hour_angle: ArrayLike) -> tuple[Array, Array]:
     """Azimuth and elevation of a direction given by declination and hour angle.
 
     Parameters
     ----------
-    latitude, declination : float
+    latitude : float
+        North positive [rad].
+    declination : float or (...) array
         North positive [rad].
     hour_angle : (...) array
         From the meridian, west positive [rad].

@@ -8,7 +8,8 @@ agree to first order with TPOINT's terms (true less raw, A from north through ea
 
 and with the drift model of Lara-Cerecedo et al. 2016, https://doi.org/10.1155/2016/3158091, Eqs (5)-(7); see `drift`.
 In an ``east-west`` mount the normal is R_east(θ₁) R_north(NPAE) R_up(θ₂) (0, −cos CA, sin CA): IE and IA are offsets of
-the first and of the second axis, and the first axis is tilted about up and about north.
+the first and of the second axis, and the first axis is tilted about up and about north. What its file states beside
+that, `Mount.tilts` and `Mount.normal`, comes in where ARTIST's rigid body has it (artist-csp 2.0, RigidBody).
 """
 
 from __future__ import annotations
@@ -86,7 +87,8 @@ def _az_el(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
     arm = mount.joints[2]
     up = np.cross(across, toward(azimuth, elevation))
     reach = mount.joints[:2].sum(axis=0) + arm[0] * across + arm[1] * normal + arm[2] * up
-    return turned(normal, tilt), mount.position + turned(reach, tilt) + _of(x, "dn")[:, None] * normal
+    normal = turned(normal, tilt)
+    return normal, mount.position + turned(reach, tilt) + _of(x, "dn")[:, None] * normal
 
 
 def _east_west(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
@@ -98,22 +100,29 @@ def _east_west(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
         )
         for k, a in enumerate(mount.actuators)
     )
-    first, second = first + mount.zero[0] + _of(x, "IE"), second + mount.zero[1] + _of(x, "IA")
-    ca = np.broadcast_to(_of(x, "CA"), first.shape)
+    # The second joint's tilt about east adds to the first angle, which turns about east, too.
+    first = first + mount.zero[0] + _of(x, "IE") + mount.tilts[2]
+    second = second + mount.zero[1] + _of(x, "IA")
+    shape = (len(first), 3)
     tilt = (_ZERO, _of(x, "tilt_n"), _of(x, "tilt_u"))
 
     def carried(vectors: Array, *, by_second: bool = True) -> Array:
         if by_second:
             vectors = turned(vectors, (_ZERO, _ZERO, second))
-        return turned(turned(vectors, (_ZERO, _of(x, "NPAE"), _ZERO)), (first, _ZERO, _ZERO))
+        askew = _of(x, "NPAE") + mount.tilts[3]
+        return turned(turned(vectors, (_ZERO, askew, _ZERO)), (first, _ZERO, _ZERO))
 
-    normal = _sagged(carried(np.stack([0 * ca, -np.cos(ca), np.sin(ca)], axis=-1)), x)
+    def placed(vectors: Array) -> Array:
+        vectors = turned(vectors, (_ZERO, _ZERO, np.atleast_1d(mount.tilts[1])))
+        return turned(turned(vectors, (_ZERO, np.atleast_1d(mount.tilts[0]), _ZERO)), tilt)
+
+    canted = turned(np.broadcast_to(mount.normal, shape), (-_of(x, "CA"), _ZERO, _ZERO))
+    normal = placed(_sagged(carried(canted), x))
     # The mirror lies in front of its axes: the arm along "north" is measured against the normal, which is −north.
     arm = mount.joints[2] * np.array([1.0, -1.0, 1.0])
-    shape = (len(first), 3)
     reach = carried(np.broadcast_to(arm, shape)) + mount.joints[0]
     reach = reach + carried(np.broadcast_to(mount.joints[1], shape), by_second=False)
-    return turned(normal, tilt), mount.position + turned(reach, tilt) + _of(x, "dn")[:, None] * normal
+    return normal, mount.position + placed(reach) + _of(x, "dn")[:, None] * normal
 
 
 def _sagged(normal: Array, x: Inside) -> Array:

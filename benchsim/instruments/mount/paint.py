@@ -10,8 +10,6 @@ or inside it, or, for a folder of recordings, above it.
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -20,7 +18,10 @@ from typing import Any
 import numpy as np
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.instruments.mount.records import Actuator, Array, Mount, Records, Session, toward
+from benchsim.instruments.mount import paint_heliostat, solar, stamps
+from benchsim.instruments.mount.geodesy import enu
+from benchsim.instruments.mount.json_values import load, number, triple, value
+from benchsim.instruments.mount.records import Array, Mount, Records, Session
 
 CALIBRATION = ("*-calibration-properties.json", "*_calibration_properties.json")
 HELIOSTAT = ("*heliostat-properties.json", "*_properties.json")
@@ -34,29 +35,14 @@ TOWER = ("tower-measurements.json", "*tower*.json")
 METHODS = ("UTIS", "HeliOS")
 """Of finding the focal spot, the preferred one first."""
 
-_A, _F = 6378137.0, 1 / 298.257223563
-"""WGS 84: semi-major axis [m] and flattening."""
-
-FAR_M = 2000.0
-"""Heliostat or spot further from the tower than this is a mistake of units or of place."""
-
 OFF_TARGET_M = 15.0
 """A spot further from its target's centre than this cannot have been seen on it."""
-
-CLOCKWISE = "clockwise_axis_movement"
-JOINTS = ("joint_translation_{}_1", "joint_translation_{}_2", "concentrator_translation_{}")
-
-LARGEST_M = 5.0
-"""No length of a heliostat's kinematics is larger."""
-
-DECLINATION_DEG = 32.0
-"""The sun's is at most 23.44 deg; the rest leaves to the diagnosis what is a little wrong, and refuses other units."""
 
 
 def recognises(path: Path) -> bool:
     """Whether a path is of this data base: a folder of recordings or above one, or a file of such a folder."""
     if path.is_dir():
-        return bool(_calibrations(path) or _inner(path) or _heliostats(path))
+        return holds_recordings(path) or bool(_heliostats(path))
     return any(path.match(p) for p in (*CALIBRATION, *HELIOSTAT))
 
 
@@ -101,55 +87,98 @@ def read(folder: Path, tower: Path | None = None) -> Session:
     """
     if not folder.is_dir():
         raise BenchsimError(f"{folder}: is one file of a heliostat's recordings; name the folder that holds them")
-    paths = _calibrations(folder)
-    inner = _inner(folder)
+    recorded(folder)
+    tower = tower if tower is not None else find_tower(folder)
+    heliostat = heliostat_of(folder)
+    mount, absent = paint_heliostat.read(heliostat, tower)
+    records, files, remarks = records_of(folder, tower, mount)
+    return Session(folder.resolve().name, folder, (*files, heliostat, tower), mount, records, (*remarks, *absent))
+
+
+def bare(path: Path, tower: Path | None = None) -> Session:
+    """A heliostat without recordings: the file of its properties, or a folder that holds it; arguments as `read`."""
+    heliostat = heliostat_of(path) if path.is_dir() else path
+    tower = tower if tower is not None else find_tower(heliostat.parent)
+    mount, remarks = paint_heliostat.read(heliostat, tower)
+    none = Records((), np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3)), ())
+    return Session(path.resolve().stem, path, (heliostat, tower), mount, none, remarks)
+
+
+def holds_recordings(folder: Path) -> bool:
+    """Whether a folder, or one within it, holds recordings."""
+    return bool(_calibrations(folder) or _inner(folder))
+
+
+def recorded(folder: Path) -> list[Path]:
+    """The recordings of a folder, in the order in which they were taken.
+
+    Raises
+    ------
+    BenchsimError
+        If there is none.
+    """
+    paths, inner = _calibrations(folder), _inner(folder)
     if not paths and len(inner) == 1 and inner[0].name in RECORDINGS:
         paths = _calibrations(inner[0])
     if not paths:
         mend = f"name one of its folders ({', '.join(p.name for p in inner[:5])})" if inner else "add the recordings"
         raise BenchsimError(f"{folder}: holds no {CALIBRATION[0]} itself; {mend}")
-    tower = tower if tower is not None else find_tower(folder)
+    return paths
+
+
+def records_of(folder: Path, tower: Path, mount: Mount) -> tuple[Records, tuple[Path, ...], tuple[str, ...]]:
+    """The records of a folder, of a mount that is known, the files that hold them, and what these leave open; errors
+    as `read`."""
     plant = load(tower)
-    origin = triple(tower, plant, "power_plant_properties.coordinates")
-    heliostat = _heliostat(folder, paths[0].parent)
-    properties = load(heliostat)
-    position = enu(triple(heliostat, properties, "heliostat_position"), origin)
-    if np.linalg.norm(position) > 1e3 * FAR_M:
-        raise BenchsimError(
-            f"{heliostat}: heliostat_position: {np.linalg.norm(position) / 1e6:.3g} km from the tower; write latitude "
-            "and longitude in deg and the height in m, and name the right tower with --tower"
-        )
+    origin = triple(tower, plant, paint_heliostat.ORIGIN)
     remarks: list[str] = []
-    found = [(p, _recording(p, plant, tower, origin, remarks)) for p in paths]
-    used = [p for p, row in found if row is not None]
-    rows = [row for _, row in found if row is not None]
-    mount = Mount(
-        axes="east-west",
-        observes="spot",
-        position=position,
-        actuators=_actuators(heliostat, properties),
-        joints=_joints(heliostat, properties, remarks),
-        latitude=math.radians(origin[0]),
-        targets=tuple(sorted(k for k in plant if k != "power_plant_properties")),
-    )
-    if not rows:
+    paths = recorded(folder)
+    held = [(p, load(p)) for p in paths]
+    found = [(one, row) for one in held if (row := _recording(*one, plant, tower, origin, remarks)) is not None]
+    if not found:
         raise BenchsimError(f"{folder}: no recording has a focal spot; add measured ones")
-    reading, source, spot, target, methods = zip(*rows, strict=True)
+    used = [p for (p, _), _ in found]
+    reading, seen, spot, target, methods, others = zip(*(row for _, row in found), strict=True)
     names = tuple(p.name[: -len(CALIBRATION[0]) + 1] for p in used)
+    remarks += _methods(names, methods, np.array(spot), np.array(others))
+    times, stamped = stamps.read([one for one, _ in found], _name(used[0].parent))
+    source, said = solar.directions(used, np.array(seen), times, origin)
+    records = Records(names, np.array(reading), source, np.array(spot), target)
+    _plausible(used, records, mount)
+    return records, (*paths, *stamped), (*remarks, *said)
+
+
+def _name(recordings: Path) -> str:
+    """The heliostat's, as its folder has it."""
+    folder = recordings.resolve()
+    return folder.parent.name if folder.name in RECORDINGS else folder.name
+
+
+def _methods(names: Sequence[str], methods: Sequence[str], spots: Array, others: Array) -> list[str]:
+    """What the methods of finding the focal spot leave open; spots (n, 3) of the one in use and of the other [mm]."""
+    out = []
     second = [n for n, m in zip(names, methods, strict=True) if m != METHODS[0]]
     if second:
         which = f"any of the {len(names)} recordings" if len(second) == len(names) else ", ".join(second)
-        remarks.append(f"There is no spot of {METHODS[0]} in {which}; that of {METHODS[1]} is used.")
-    records = Records(names, np.array(reading), np.array(source), np.array(spot), target)
-    _plausible(used, records, mount)
-    return Session(folder.resolve().name, folder, (*paths, heliostat, tower), mount, records, tuple(remarks))
+        out.append(f"There is no spot of {METHODS[0]} in {which}; that of {METHODS[1]} is used.")
+    apart = np.linalg.norm(spots - others, axis=1)
+    both = np.isfinite(apart)
+    if both.any():
+        out.append(
+            f"{METHODS[0]} and {METHODS[1]} find spots {np.sqrt(np.mean(apart[both] ** 2)):.3g} mm apart (rms of "
+            f"{both.sum()} recordings; median {np.median(apart[both]):.3g} mm); that of {METHODS[0]} is used."
+        )
+    return out
 
 
-def _heliostat(folder: Path, recordings: Path) -> Path:
-    """The heliostat's one file: in the folder, in `PROPERTIES` in or beside it, or above its folder of recordings."""
+def heliostat_of(folder: Path) -> Path:
+    """The heliostat's one file: in the folder, in `PROPERTIES` in or beside it, or above its folder of recordings.
+
+    Where there is none, the file that should be in the folder.
+    """
     here = folder.resolve()
     places = [here, *(p / n for p in (here, here.parent) for n in PROPERTIES)]
-    if recordings.resolve() == here and here.name in RECORDINGS:
+    if here.name in RECORDINGS and _calibrations(here):
         places.append(here.parent)
     for place in places:
         found = _heliostats(place)
@@ -180,82 +209,6 @@ def find_tower(folder: Path) -> Path:
     )
 
 
-def enu(place: Array, origin: Array) -> Array:
-    """East, north, up [mm] of (latitude deg, longitude deg, height m) about an origin of the same form, on WGS 84."""
-    latitude, longitude = np.radians(origin[:2])
-    apart = _earth_centred(place) - _earth_centred(origin)
-    sa, ca, so, co = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
-    axes = np.array([[-so, co, 0.0], [-sa * co, -sa * so, ca], [ca * co, ca * so, sa]])
-    return np.asarray(1e3 * axes @ apart)
-
-
-def _earth_centred(place: Array) -> Array:
-    latitude, longitude = np.radians(place[:2])
-    squared = _F * (2 - _F)
-    across = _A / np.sqrt(1 - squared * np.sin(latitude) ** 2)
-    return np.array(
-        [
-            (across + place[2]) * np.cos(latitude) * np.cos(longitude),
-            (across + place[2]) * np.cos(latitude) * np.sin(longitude),
-            (across * (1 - squared) + place[2]) * np.sin(latitude),
-        ]
-    )
-
-
-def load(path: Path) -> Mapping[str, Any]:
-    """A JSON object."""
-    try:
-        value = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise BenchsimError(f"{path}: cannot be read ({error.strerror}); put the file there") from None
-    except UnicodeDecodeError:
-        raise BenchsimError(f"{path}: is not in UTF-8; save it so") from None
-    except (ValueError, RecursionError) as error:
-        raise BenchsimError(f"{path}: is no JSON ({error}); mend the file") from None
-    if not isinstance(value, dict):
-        raise BenchsimError(f"{path}: is no JSON object; mend the file")
-    return value
-
-
-def value(path: Path, data: Mapping[str, Any], key: str) -> Any:
-    """What stands under a dotted key."""
-    at: Any = data
-    for part in key.split("."):
-        if not isinstance(at, Mapping) or part not in at:
-            raise BenchsimError(f"{path}: {key}: is missing; add it")
-        at = at[part]
-    return at
-
-
-def number(path: Path, data: Mapping[str, Any], key: str) -> float:
-    """A finite number under a dotted key."""
-    return _number(path, key, value(path, data, key))
-
-
-def _number(path: Path, key: str, found: Any) -> float:
-    if not _finite(found):
-        raise BenchsimError(f"{path}: {key}: {_short(found)} is no finite number; mend it")
-    return float(found)
-
-
-def _finite(found: Any) -> bool:
-    # An integer may be too large to be a float.
-    return not isinstance(found, bool) and isinstance(found, int | float) and -1e300 < found < 1e300
-
-
-def _short(found: Any) -> str:
-    return repr(found) if len(repr(found)) < 80 else f"{repr(found)[:60]}…"
-
-
-def triple(path: Path, data: Mapping[str, Any], key: str) -> Array:
-    """Latitude and longitude [deg] and height [m] under a dotted key."""
-    found = value(path, data, key)
-    good = isinstance(found, list) and len(found) == 3 and all(_finite(v) for v in found)
-    if not good or abs(found[0]) > 90 or abs(found[1]) > 360 or not -500 < found[2] < 9000:
-        raise BenchsimError(f"{path}: {key}: {_short(found)} is not [latitude deg, longitude deg, height m]; mend it")
-    return np.array(found, float)
-
-
 def _order(path: Path) -> tuple[int, str]:
     """Recordings are numbered as they were taken."""
     head = re.split("[-_]", path.name, maxsplit=1)[0]
@@ -263,24 +216,15 @@ def _order(path: Path) -> tuple[int, str]:
 
 
 def _recording(
-    path: Path, plant: Mapping[str, Any], tower: Path, origin: Array, remarks: list[str]
-) -> tuple[Array, Array, Array, str, str] | None:
-    data = load(path)
+    path: Path, data: Mapping[str, Any], plant: Mapping[str, Any], tower: Path, origin: Array, remarks: list[str]
+) -> tuple[Array, Array, Array, str, str, Array] | None:
+    """Steps, azimuth and elevation of the sun as recorded [deg], focal spot [mm], target, method, the other's spot."""
     steps = np.array([number(path, data, f"motor_position.axis_{k}_motor_position") for k in (1, 2)])
     azimuth, elevation = number(path, data, "sun_azimuth"), number(path, data, "sun_elevation")
     if not -2.0 <= elevation <= 90.0 or abs(azimuth) > 360.0:
         raise BenchsimError(
             f"{path}: sun_elevation, sun_azimuth: {elevation:g} and {azimuth:g} deg are no place of the sun; write "
             "degrees, azimuth from south with west negative"
-        )
-    sun = toward(np.array(np.pi - math.radians(azimuth)), np.array(math.radians(elevation)))
-    latitude = math.radians(origin[0])
-    declination = math.degrees(math.asin(float(sun @ [0.0, math.cos(latitude), math.sin(latitude)])))
-    if abs(declination) > DECLINATION_DEG:
-        raise BenchsimError(
-            f"{path}: sun_elevation, sun_azimuth: the sun never stands at {elevation:g} and {azimuth:g} deg at "
-            f"latitude {origin[0]:.4g} deg (its declination would be {declination:.0f} deg); write degrees, azimuth "
-            "from south with west negative"
         )
     target = value(path, data, "target_name")
     targets = [k for k in plant if k != "power_plant_properties"]
@@ -290,11 +234,11 @@ def _recording(
     spots = value(path, data, "focal_spot")
     if not isinstance(spots, Mapping):
         raise BenchsimError(f"{path}: focal_spot: {spots!r} holds no methods; write {METHODS[0]} = [lat, lon, height]")
-    method = next((m for m in METHODS if spots.get(m) is not None), None)
-    if method is None:
+    found = {m: enu(triple(path, data, f"focal_spot.{m}"), origin) for m in METHODS if spots.get(m) is not None}
+    if not found:
         remarks.append(f"{path.name}: neither {' nor '.join(METHODS)} found a focal spot; left out.")
         return None
-    spot = enu(triple(path, data, f"focal_spot.{method}"), origin)
+    method, spot = next(iter(found.items()))
     centre = enu(triple(tower, plant, f"{target}.coordinates.center"), origin)
     off = float(np.linalg.norm(spot - centre)) / 1e3
     if off > OFF_TARGET_M:
@@ -302,64 +246,8 @@ def _recording(
             f"{path}: focal_spot.{method}: {off:.3g} m from the centre of {target}, which is off the target; mend the "
             "spot, the target's name, or the tower file"
         )
-    return steps, sun, spot, target, method
-
-
-def _actuators(path: Path, data: Mapping[str, Any]) -> tuple[Actuator, ...]:
-    listed = value(path, data, "kinematics_properties.actuators")
-    if not isinstance(listed, list) or len(listed) != 2:
-        raise BenchsimError(f"{path}: kinematics_properties.actuators: two are needed, one per axis; mend the list")
-    out = []
-    for k, one in enumerate(listed):
-        key = f"kinematics_properties.actuators.{k + 1}"
-        if not isinstance(one, Mapping):
-            raise BenchsimError(f"{path}: {key}: {_short(one)} is no table of an actuator; mend the list")
-
-        def get(name: str, default: float | None = None, one: Mapping[str, Any] = one, key: str = key) -> float:
-            if default is not None and name not in one:
-                return default
-            return _number(path, f"{key}.{name}", value(path, one, name))
-
-        for name in ("increment", "offset", "pivot_radius", "initial_stroke_length", "initial_angle", CLOCKWISE):
-            if name not in one:
-                raise BenchsimError(f"{path}: {key}.{name}: is missing; add it")
-        kind = str(one.get("type_axis", "linear"))
-        if kind != "linear":
-            raise BenchsimError(f"{path}: {key}.type_axis: {kind!r} is not linear; only linear actuators are known")
-        offset = get("offset") + get("offset_shift", 0.0)
-        radius = get("pivot_radius") + get("radius_shift", 0.0)
-        increment, stroke, angle = get("increment"), get("initial_stroke_length"), get("initial_angle")
-        lengths = 0 < offset < LARGEST_M and 0 < radius < LARGEST_M and 0 <= stroke < LARGEST_M
-        if not lengths or increment <= 0:
-            raise BenchsimError(
-                f"{path}: {key}: offset {offset:g}, pivot_radius {radius:g}, initial_stroke_length {stroke:g} m and "
-                f"increment {increment:g} steps per m are no actuator of a heliostat; write metres"
-            )
-        if abs(angle) > 2 * math.pi:
-            raise BenchsimError(f"{path}: {key}.initial_angle: {angle:g} rad is more than a turn; write radians")
-        clockwise = one[CLOCKWISE]
-        if clockwise not in (0, 1):
-            raise BenchsimError(f"{path}: {key}.{CLOCKWISE}: {_short(clockwise)} is neither 0 nor 1; mend it")
-        first = -math.pi / 2 if k == 0 else 0.0
-        out.append(Actuator(1e3 * stroke, 1e3 * offset, 1e3 * radius, increment / 1e3, angle + first, bool(clockwise)))
-    return tuple(out)
-
-
-def _joints(path: Path, data: Mapping[str, Any], remarks: list[str]) -> Array:
-    """The three translations [mm]; those that are absent are none, and said."""
-    kinematics = value(path, data, "kinematics_properties")
-    names = [n.format(k) for n in JOINTS for k in "enu"]
-    absent = [n for n in names if n not in kinematics]
-    if absent:
-        remarks.append(f"{path.name} states no {', '.join(absent)}: taken as 0.")
-    out = [0.0 if n in absent else number(path, data, f"kinematics_properties.{n}") for n in names]
-    far = next((n for n, length in zip(names, out, strict=True) if abs(length) >= LARGEST_M), None)
-    if far:
-        raise BenchsimError(
-            f"{path}: kinematics_properties.{far}: {out[names.index(far)]:g} m is no length of a heliostat; write "
-            "metres"
-        )
-    return 1e3 * np.array(out).reshape(3, 3)
+    other = found[METHODS[1]] if len(found) == len(METHODS) else np.full(3, np.nan)
+    return steps, np.array([azimuth, elevation]), spot, target, method, other
 
 
 def _plausible(paths: Sequence[Path], records: Records, mount: Mount) -> None:

@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.mount.beam_light import CONTOUR, ORDER, Beam, beam_on, linear
+from benchsim.instruments.mount.geodesy import enu, geodetic
+from benchsim.instruments.mount.json_values import load, triple, value
 from benchsim.instruments.mount.mark_templates import read_templates
-from benchsim.instruments.mount.paint import enu, find_tower, load, triple, value
+from benchsim.instruments.mount.paint import find_tower
 from benchsim.instruments.mount.target_marks import (
     Marks,
     find_marks,
@@ -360,14 +362,3 @@ def on_target(found: TargetPhotograph, place: Array) -> Array:
 def rectified(found: TargetPhotograph, image: Image) -> Image:
     """Another channel, (h, w) of the photograph, on the map of ``found.light``."""
     return _Grid.over(found.extent, found.marks.homography, image.shape).rectified(image)
-
-
-def geodetic(place: Array, about: Array) -> Array:
-    """Latitude, longitude [deg], height [m] of (east, north, up) mm about an origin of that form: the inverse of
-    `paint.enu`, by Newton's method."""
-    at = np.array(about, float)
-    step = np.array([1e-5, 1e-5, 1.0])
-    for _ in range(3):
-        slope = [(enu(at + d, about) - enu(at - d, about)) / 2 for d in np.diag(step)]
-        at = at + step * np.linalg.solve(np.transpose(slope), np.asarray(place) - enu(at, about))
-    return at

@@ -84,9 +84,39 @@ class Predict:
         of = np.array([number[id(v)] for v in values], np.intp)
         return self.inside({name: v[of] for name, v in x.items()}, blocks)
 
-    def inside(self, x: dict[str, Array], i: NDArray[np.intp]) -> Array:
+    def inside(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> Array:
         """For errors in rad, mm and s, (T,) each, and record numbers (T,)."""
-        mount, records = self.mount, self.records
+        predicted, seen = self.directions(x, i)
+        about = (
+            self.records.source[i]
+            if self.mount.observes == "sky"
+            else _unit(self.records.spot[i] - self.mount.position)
+        )
+        out = _apart(predicted, _unit(seen), about) / UNITS[self.mount.unit]
+        for k in range(self.drift.shape[1]):
+            for j, name in enumerate((f"drift.across_{k + 1}", f"drift.up_{k + 1}")):
+                if name in x:
+                    out[:, j] += self.drift[i, k] * x[name]
+        return np.where(np.isfinite(out).all(axis=1, keepdims=True), out, LOST)
+
+    def directions(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Where the mount sends the beam, or points, and where the record has it.
+
+        Parameters
+        ----------
+        x : mapping of str to (T,) or (1,) array
+            Errors in rad, mm and s, beside which those that are stated do not count.
+        i : (T,) int array
+            Records.
+
+        Returns
+        -------
+        predicted : (T, 3) array
+            Unit vectors; nan where no triangle of an actuator closes.
+        seen : (T, 3) array
+            From the mirror to the spot [mm]; for the sky the unit vector toward the star.
+        """
+        mount, records, x = self.mount, self.records, dict(x)
         if "change" in x:
             # A little of a slope, so that a fit feels on which side of a record the change falls.
             after = expit((i - x["change"]) / ABRUPT)
@@ -98,23 +128,11 @@ class Predict:
         normal, centre = axes.pointing(mount, records.reading[i], x)
         source = sky.seen(mount, records.source[i], x)
         if mount.observes == "sky":
-            out = _apart(normal, source, records.source[i])
-        else:
-            spot = records.spot[i] + self._moved(x, i)
-            none = np.zeros(1)
-            moved = (x.get(f"mirror_{k}", none) + x.get(f"survey_{k}", none) for k in "enu")
-            shift = np.stack(np.broadcast_arrays(*moved), axis=-1)
-            seen = spot - centre - shift
-            seen /= np.linalg.norm(seen, axis=1, keepdims=True)
-            beam = axes.reflected(normal, source)
-            recorded = records.spot[i] - mount.position
-            out = _apart(beam, seen, recorded / np.linalg.norm(recorded, axis=1, keepdims=True))
-        out = out / UNITS[mount.unit]
-        for k in range(self.drift.shape[1]):
-            for j, name in enumerate((f"drift.across_{k + 1}", f"drift.up_{k + 1}")):
-                if name in x:
-                    out[:, j] += self.drift[i, k] * x[name]
-        return np.where(np.isfinite(out).all(axis=1, keepdims=True), out, LOST)
+            return normal, source
+        none = np.zeros(1)
+        moved = (x.get(f"mirror_{k}", none) + x.get(f"survey_{k}", none) for k in "enu")
+        shift = np.stack(np.broadcast_arrays(*moved), axis=-1)
+        return axes.reflected(normal, source), records.spot[i] + self._moved(x, i) - centre - shift
 
     def _moved(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> Array:
         """Shift of the recorded spots (T, 3)."""
@@ -124,6 +142,10 @@ class Predict:
             east = east + x.get(f"target_e_{k + 1}", 0.0) * (number == k)
             up = up + x.get(f"target_u_{k + 1}", 0.0) * (number == k)
         return np.stack(np.broadcast_arrays(east, 0.0 * east, up), axis=-1)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _apart(predicted: Array, recorded: Array, about: Array) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchsim.bench.errors import BenchsimError
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import amplitudes
-from benchsim.diagnosis.problem import Effect, Problem
+from benchsim.diagnosis.problem import Effect, Parameter, Problem
 from benchsim.instruments.mount import effects, functions, sky
 from benchsim.instruments.mount.attachments import Form, attachments, forms
 from benchsim.instruments.mount.next_recordings import Next
@@ -218,6 +218,12 @@ def functions_of(session: Session) -> list[Form]:
     """The functions that a mount's file may state, with its records' places in their coordinates."""
     plain = replace(session, fields={})
     return forms(predicted(plain, effects.candidates(plain.mount, plain.records)))
+
+
+def fitted(session: Session) -> tuple[Parameter, ...]:
+    """All that a diagnosis may fit to a mount, whatever its records: nuisances, and the amplitudes of effects."""
+    known = effects.candidates(session.mount, session.records, every=True)
+    return (*nuisances(session.mount), *(p for e in known for p in e.parameters if not p.grid))
 
 
 def _unit_of(mount: Mount, records: Records, effect: str, term: str) -> str:

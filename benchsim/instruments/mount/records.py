@@ -8,6 +8,7 @@ what is compared is the direction of the reflected beam. ``sky``: a telescope's 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,6 +38,8 @@ class Actuator:
         Of the axis at step 0 [rad].
     clockwise : bool
         Whether growing length turns the axis the negative way.
+    reach : (float, float)
+        Least and most steps.
     """
 
     stroke: float
@@ -45,6 +48,7 @@ class Actuator:
     increment: float
     initial_angle: float
     clockwise: bool
+    reach: tuple[float, float] = (-np.inf, np.inf)
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,11 @@ class Mount:
         [rad]; None: unknown, and clock errors are no candidates.
     zero : (2,) array
         Added to the readings: what the encoders are known to be off by, [rad].
+    tilts : (4,) array
+        Of an ``east-west`` mount [rad]: the first axis' frame is turned by R_north(tilts[0]) R_up(tilts[1]), the second
+        one's, in the first one's, by R_east(tilts[2]) R_north(tilts[3]); right-handed.
+    normal : (3,) array
+        Of the mirror of an ``east-west`` mount where all angles are 0, unit vector.
     targets : tuple of str
         Names of all the targets of the plant: their order numbers ``target_e_1`` and its like, whichever of them some
         records are of. Empty: those of the records, in the order of the alphabet.
@@ -78,12 +87,19 @@ class Mount:
     actuators: tuple[Actuator, ...] = ()
     latitude: float | None = None
     zero: Array = field(default_factory=lambda: np.zeros(2))
+    tilts: Array = field(default_factory=lambda: np.zeros(4))
+    normal: Array = field(default_factory=lambda: np.array([0.0, -1.0, 0.0]))
     targets: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
         """Of angles in results: arcsec for a telescope, mrad for a heliostat."""
         return "arcsec" if self.observes == "sky" else "mrad"
+
+    @property
+    def of_normal(self) -> float:
+        """Mrad of the normal, or of the tube, in one of `unit`: a beam turns by twice what its mirror does."""
+        return UNITS["arcsec"] / UNITS["mrad"] if self.observes == "sky" else 0.5
 
 
 @dataclass(frozen=True)
@@ -130,6 +146,28 @@ class Function:
 
 
 @dataclass(frozen=True)
+class Learnt:
+    """What a diagnosis learnt beside the effects, which predictions rest on.
+
+    Attributes
+    ----------
+    sigma : (2,) array
+        Errors of a record on a day that was not learnt, across and up [mrad of the normal]: its own, and its day's.
+    parameters : tuple of str
+        What was fitted: parameters of effects, and what may differ without being an effect.
+    covariance : (k, k) array
+        Of these, in the units of the catalogue.
+    zeros : (2,) array or None
+        A telescope's encoder zeros (IA, IE) [rad]; None for a heliostat.
+    """
+
+    sigma: Array
+    parameters: tuple[str, ...]
+    covariance: Array
+    zeros: Array | None = None
+
+
+@dataclass(frozen=True)
 class Session:
     """A mount with its records, as a reader gives them.
 
@@ -148,6 +186,8 @@ class Session:
         Stated errors by effect and parameter, in the units of the catalogue; they are part of the simulation.
     fields : mapping of str to Function
         Stated functions without a name, by their attachment's.
+    learnt : Learnt or None
+        None where the file says nothing of it.
     """
 
     title: str
@@ -158,14 +198,16 @@ class Session:
     remarks: tuple[str, ...] = ()
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
     fields: Mapping[str, Function] = field(default_factory=dict)
+    learnt: Learnt | None = None
 
 
 def numbers(records: Records) -> Array | None:
-    """The records' numbers, if their names are such and grow."""
-    if not all(n.isdigit() for n in records.names):
+    """The records' numbers, the first in each name ("star 7 (line 9)": 7), if all have one and they grow."""
+    found = [re.search(r"\d+", n) for n in records.names]
+    if not all(found):
         return None
-    found = np.array([float(n) for n in records.names])
-    return found if (np.diff(found) > 0).all() else None
+    counted = np.array([float(m[0]) for m in found if m])
+    return counted if (np.diff(counted) > 0).all() else None
 
 
 def toward(azimuth: Array, elevation: Array) -> Array:

@@ -18,6 +18,9 @@ DECLINES, ALIKE = np.radians(0.4) / 24, np.radians(0.01)
 PRESSURE_HPA, TEMPERATURE_C = 1010.0, 10.0
 """Of the standard refraction; an error of it is stated as a part of it, or as arcsec · cot E."""
 
+HORIZON_DEG = 0.5667
+"""Standard refraction on the horizon: lower, the sun is not lifted."""
+
 _ZERO = np.zeros(1)
 
 
@@ -60,18 +63,23 @@ def days(mount: Mount, source: Array) -> NDArray[np.intp]:
     """
     if mount.latitude is None:
         return np.arange(len(source))
-    sine, cosine = np.sin(mount.latitude), np.cos(mount.latitude)
-    declination = np.arcsin(np.clip(source[:, 1] * cosine + source[:, 2] * sine, -1, 1))
-    hours = 12 / np.pi * np.arctan2(-source[:, 0], source[:, 2] * cosine - source[:, 1] * sine)
-    later = np.diff(hours)
+    hour, declination = hour_declination(source, mount.latitude)
+    later = 12 / np.pi * np.diff(hour)
     goes_on = (later > 0) & (np.abs(np.diff(declination)) <= DECLINES * later + ALIKE)
     return np.concatenate([[0], np.cumsum(~goes_on)]).astype(np.intp)
+
+
+def hour_declination(direction: Array, latitude: float) -> tuple[Array, Array]:
+    """Hour angle, growing westward, and declination [rad] of unit vectors (n, 3), seen from a latitude [rad]."""
+    east, north, up = direction.T
+    sine, cosine = np.sin(latitude), np.cos(latitude)
+    return np.arctan2(-east, up * cosine - north * sine), np.arcsin(np.clip(north * cosine + up * sine, -1, 1))
 
 
 def refraction(direction: Array) -> Array:
     """Standard refraction [rad] of unit vectors (T, 3), by Reda & Andreas 2004, NREL/TP-560-34302."""
     elevation = np.degrees(np.arcsin(np.clip(direction[:, 2], -1, 1)))
-    return np.radians(spa.atmospheric_refraction_correction(PRESSURE_HPA, TEMPERATURE_C, elevation, 0.5667))
+    return np.radians(spa.atmospheric_refraction_correction(PRESSURE_HPA, TEMPERATURE_C, elevation, HORIZON_DEG))
 
 
 def _cotangent(direction: Array) -> Array:

@@ -14,8 +14,14 @@
     IA_mrad = [0.1, 0.4, -0.2]
     IE_mrad = [0.0, 1.1, 1.9]
 
-A change of the mount is stated between two records, ``change = 2041.5``: by their numbers where their names are
-numbers, so that it holds of any records of that mount, else by their place in the file.
+    [prediction]                        # how sure it is, which only predictions need; optional
+    sigma_mrad = [0.2, 0.4]             # errors of a record on another day, across and up, mrad of the normal
+    parameters = ["survey_e", "tilt_n"] # what was fitted, and its covariance in the units of the catalogue
+    covariance = [[310.0, -1.2], [-1.2, 0.5]]
+    zeros_arcsec = [1205.2, 2.9]        # telescopes: of the encoders, IA and IE, true less read
+
+A change of the mount is stated between two records, ``change = 2041.5``: by their own numbers, which are the first in
+their names, so that it holds of any records of that mount; where names have none, by their place in the file.
 """
 
 from __future__ import annotations
@@ -35,10 +41,13 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
 from benchsim.instruments.mount import effects, functions, paint, pointing
 from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.records import Array, Function, Session
+from benchsim.instruments.mount.records import UNITS, Array, Function, Learnt, Session
 
 FORMAT = "benchsim-mount/1"
-_KEYS = {"format", "recordings", "tower", "effects", "fields"}
+_KEYS = {"format", "recordings", "tower", "effects", "fields", "prediction"}
+
+ROUNDED = 1e-6
+"""Part of a correlation by which a covariance may differ from its transpose: digits that a file leaves out."""
 
 
 def recognises(path: Path) -> bool:
@@ -88,7 +97,12 @@ def read(path: Path, tower: Path | None = None) -> Session:
     session = read(where, tower or (path.parent / stated if stated is not None else None))
     _check(path, session, found)
     session = replace(session, title=path.stem, path=path, files=(path, *session.files), effects=found)
-    return replace(session, fields=_functions(path, session, data.get("fields", {})))
+    session = replace(session, fields=_functions(path, session, data.get("fields", {})))
+    if "prediction" not in data:
+        return session
+    learnt = _learnt(path, session, data["prediction"])
+    mount = session.mount if learnt.zeros is None else replace(session.mount, zero=learnt.zeros)
+    return replace(session, mount=mount, learnt=learnt)
 
 
 def write(
@@ -97,6 +111,7 @@ def write(
     fields: Mapping[str, Function],
     path: Path,
     target: Path,
+    learnt: Learnt | None = None,
 ) -> None:
     """Write a session with stated effects and functions so that it stands in the folder ``target``."""
     source, tower = session.path, None
@@ -116,6 +131,14 @@ def write(
         document["fields"] = {
             name: {"knots": _plain(f.knots), **{k: _plain(v) for k, v in f.values.items()}}
             for name, f in fields.items()
+        }
+    if learnt is not None:
+        zeros = {} if learnt.zeros is None else {"zeros_arcsec": _plain(learnt.zeros / UNITS["arcsec"])}
+        document["prediction"] = {
+            "sigma_mrad": _plain(learnt.sigma),
+            "parameters": list(learnt.parameters),
+            "covariance": _plain(learnt.covariance),
+            **zeros,
         }
     write_text(path, tomlkit.dumps(document))
 
@@ -152,6 +175,41 @@ def _functions(path: Path, session: Session, tables: Any) -> dict[str, Function]
                 raise BenchsimError(f"{path}: fields.{name}.{key}: write {shape} for each of the knots, at least one")
         out[name] = Function(arrays.pop("knots"), arrays)
     return out
+
+
+def _learnt(path: Path, session: Session, table: Any) -> Learnt:
+    """The table of what predictions rest on, checked."""
+    if not isinstance(table, dict):
+        raise BenchsimError(f"{path}: prediction: is no table; write [prediction] as benchsim diagnose does, or none")
+    sky = session.mount.observes == "sky"
+    wanted = {"sigma_mrad", "parameters", "covariance", *(("zeros_arcsec",) if sky else ())}
+    if set(table) != wanted:
+        listed = ", ".join(sorted(wanted))
+        raise BenchsimError(f"{path}: prediction: has {', '.join(table) or 'nothing'}; it has to have {listed}")
+    names, known = table["parameters"], {p.name for p in mount_problem.fitted(session)}
+    if not isinstance(names, list) or not set(map(str, names)) <= known or len(set(map(str, names))) < len(names):
+        raise BenchsimError(
+            f"{path}: prediction.parameters: {names!r}: there are {', '.join(sorted(known))}, each once"
+        )
+
+    def numbers(key: str, shape: tuple[int, ...]) -> Array:
+        try:
+            found = np.array(table[key], float).reshape(shape)
+        except (TypeError, ValueError):
+            found = np.full(shape, np.nan)
+        if not np.isfinite(found).all():
+            raise BenchsimError(f"{path}: prediction.{key}: write {' times '.join(map(str, shape))} finite numbers")
+        return found
+
+    sigma, covariance = numbers("sigma_mrad", (2,)), numbers("covariance", (len(names),) * 2)
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    unit = covariance / np.maximum(np.outer(scale, scale), 1e-300)
+    if (sigma < 0).any() or (np.diag(covariance) < 0).any() or np.abs(unit - unit.T).max(initial=0.0) > ROUNDED:
+        raise BenchsimError(
+            f"{path}: prediction: sigma_mrad or covariance is none of errors; mend it, or remove the table"
+        )
+    zeros = numbers("zeros_arcsec", (2,)) * UNITS["arcsec"] if sky else None
+    return Learnt(sigma, tuple(names), covariance, zeros)
 
 
 def _toml(path: Path) -> dict[str, Any]:

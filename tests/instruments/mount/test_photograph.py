@@ -9,9 +9,9 @@ import pytest
 from target_pictures import Scene, draw, draw_templates, mark_places
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.instruments.mount.geodesy import enu, geodetic
 from benchsim.instruments.mount.mark_templates import read_templates
-from benchsim.instruments.mount.paint import enu
-from benchsim.instruments.mount.photograph import geodetic, measure_beam, on_target
+from benchsim.instruments.mount.photograph import measure_beam, on_target
 
 REAL = Path(__file__).resolve().parents[4] / "shared" / "recordings" / "heliostat-juelich"
 MFT = Scene(target="multi_focus_tower", height=180, widths=(600.0, 400.0), brightness=0.3)

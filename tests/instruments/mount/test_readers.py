@@ -58,16 +58,22 @@ def test_the_log_gives_altitude_before_azimuth(tmp_path):
 
 
 def test_the_log_tells_the_latitude(tmp_path):
-    """Altitudes made from a latitude of 31.7 deg are found to be of 31.7 deg."""
+    """Stars as they stand at a latitude of 31.7 deg are found to be of 31.7 deg."""
     latitude, stars = np.radians(31.7), []
     for k in range(6):
         hour, declination = np.radians(-50 + 20 * k), np.radians(10 * k - 5)
         altitude = np.arcsin(
             np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(hour)
         )
+        azimuth = np.degrees(
+            np.arctan2(
+                -np.cos(declination) * np.sin(hour),
+                np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(declination) * np.cos(hour),
+            )
+        )
         ascension = (6.0 - np.degrees(hour) / 15) % 24
         stars.append(
-            f"CAT: {k}\nRAA: {np.degrees(altitude):.7f} {40 * k}\nTAA: {np.degrees(altitude):.7f} {40 * k}\n"
+            f"CAT: {k}\nRAA: {np.degrees(altitude):.7f} {azimuth}\nTAA: {np.degrees(altitude):.7f} {azimuth}\n"
             f"LST: 06:00:00\nARD: {ascension:.7f} {np.degrees(declination):.7f}\n"
         )
     session = pointing.read(write(tmp_path, "log.dat", "".join(stars)))
