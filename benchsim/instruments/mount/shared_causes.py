@@ -13,8 +13,8 @@ it if it were this heliostat's alone, O. The field's likelihood is the product o
     L(s) = Π [ (1 − OWN) Σ_i Z_i(s) + OWN · O ] ,
 
 so that no heliostat moves ln L by more than ln 1/`OWN`, and what is said to be shared is borne out by most. Each set of
-causes has its evidence by Laplace's method about the largest L(s) p(s); causes are added, dropped and exchanged until
-nothing gains.
+causes has its evidence, sizes and sigmas by importance sampling from about the largest L(s) p(s); causes are added,
+dropped and exchanged until nothing gains.
 
 Not for causes that act on a heliostat by its square: all is to first order about the fit.
 """
@@ -27,7 +27,8 @@ from itertools import chain, combinations, pairwise
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
+from scipy.stats import multivariate_t
 
 from benchsim.diagnosis import forward, linear
 from benchsim.diagnosis.degeneracy import LIKELY, MISSING
@@ -48,6 +49,10 @@ TOGETHER = 3
 
 NEAR, MOST = 20.0, 32
 """ln Z behind a heliostat's best set, with whatever causes, up to which sets are kept, and how many."""
+
+DRAWS, ROUNDS, TAIL = 512, 3, 5.0
+"""Points of the importance sampling, times that they are drawn anew about where the last ones found most, and degrees
+of freedom of the multivariate t that they are drawn from."""
 
 FEWEST = 3
 """Heliostats below which a field says nothing of what they share."""
@@ -321,13 +326,22 @@ class _Field:
         both = np.concatenate([np.log1p(-OWN) + z, (np.log(OWN) + self.own)[:, None]], axis=1)
         return np.asarray(logsumexp(both, axis=1))
 
+    def total(self, many: Array) -> Array:
+        """ln L(s) − ½ |s|² at points (S, k), (S,)."""
+        heliostats, sets, k = self.projection.shape
+        square = np.einsum("si,sj->sij", many, many).reshape(len(many), -1)
+        z = self.projection.reshape(-1, k) @ many.T - 0.5 * self.gram.reshape(-1, k * k) @ square.T
+        z = np.log1p(-OWN) + self.log_z[:, :, None] + z.reshape(heliostats, sets, -1)
+        own = np.broadcast_to((np.log(OWN) + self.own)[:, None], (heliostats, len(many)))
+        return np.logaddexp(logsumexp(z, axis=1), own).sum(axis=0) - 0.5 * (many**2).sum(axis=1)
+
     def seeing(self, places: Sequence[int]) -> int:
         """How many heliostats know some parameters better than their priors do, by their most probable set."""
         best = self.gram[np.arange(len(self.gram)), np.argmax(self.log_z, axis=1)]
         return int((best[:, places, places] > 1.0).any(axis=1).sum())
 
     def peak(self, places: list[int]) -> tuple[float, Array, Array]:
-        """ln of the evidence with some parameters free, their most probable values and 1 sigma of these."""
+        """ln of the evidence with some parameters free, and their posterior mean and 1 sigma."""
         b, g = self.projection[:, :, places], self.gram[:, :, places][:, :, :, places]
         some = replace(self, projection=b, gram=g)
         if not places:
@@ -348,11 +362,19 @@ class _Field:
             minimize(lambda s: [-v for v in slopes(s)[:2]], start, jac=True, method="BFGS")
             for start in (np.zeros(len(places)), np.median(first, axis=0))
         ]
-        end = min(ends, key=lambda e: e.fun).x
-        value, _, curved = slopes(end)
-        values, turn = np.linalg.eigh(curved)
-        values = np.maximum(values, 1e-9)
-        return value - 0.5 * float(np.log(values).sum()), end, np.sqrt(((turn**2) / values).sum(axis=1))
+        middle = min(ends, key=lambda e: e.fun).x
+        values, turn = np.linalg.eigh(slopes(middle)[2])
+        shape = (turn / np.maximum(values, 1e-9)) @ turn.T
+        total = 0.0
+        for again in range(ROUNDS):
+            # Tails are heavier than the peak's curvature says where one more heliostat would be left out.
+            about = multivariate_t(middle, shape, TAIL)
+            drawn = about.rvs(DRAWS, random_state=again).reshape(DRAWS, -1)
+            log = some.total(drawn) - about.logpdf(drawn) - 0.5 * len(places) * np.log(2 * np.pi)
+            total, share = float(logsumexp(log) - np.log(DRAWS)), softmax(log)
+            middle = share @ drawn
+            shape = np.cov(drawn.T, aweights=share, bias=True).reshape(len(places), -1) + 1e-12 * np.eye(len(places))
+        return total, middle, np.sqrt(np.diag(shape))
 
 
 def applied(session: Session, shared: Sequence[Shared]) -> Session:
