@@ -114,8 +114,8 @@ def heliostat(rng: np.random.Generator, driven: bool, n: int) -> Session:
             begin = np.array([[np.arctan2(middle[0], middle[1]), np.arcsin(middle[2] / np.linalg.norm(middle))]])
         else:
             begin = start
-        found = aimed(mount, sun, centres[k], begin)
-        if found is None:
+        (found,) = aimed(mount, sun[None], centres[k][None], begin)
+        if not np.isfinite(found).all():
             if driven and rng.uniform() < 0.02:
                 return heliostat(rng, driven, n)  # this place cannot be served by these actuators
             continue

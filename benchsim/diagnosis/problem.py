@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -206,7 +207,10 @@ class Problem:
         models are judged by what they predict of another time (`forward`)."""
         return not self.stated and not any(p.scaled for p in self.nuisances)
 
+    @cached_property
+    def _edges(self) -> list[int]:
+        return [int(e) for e in np.searchsorted(self.block, np.arange(len(self.names) + 1))]
+
     def rows(self, block: int) -> slice:
         """Where a block's data lie."""
-        first, last = np.searchsorted(self.block, [block, block + 1])
-        return slice(int(first), int(last))
+        return slice(self._edges[block], self._edges[block + 1])

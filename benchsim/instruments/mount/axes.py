@@ -30,9 +30,17 @@ _ZERO = np.zeros(1)
 
 def turned(vectors: Array, about: tuple[Array, Array, Array]) -> Array:
     """Vectors (T, 3) turned by rotation vectors given by components (T,) or (1,) [rad]."""
-    rotation = np.stack(np.broadcast_arrays(*about), axis=-1)
-    if not rotation.any():
+    some = [k for k, angle in enumerate(about) if angle.any()]
+    if not some or not vectors.any():
         return vectors
+    if len(some) == 1:
+        # Most turns are about one axis, and a thousand times a fit's step.
+        (k,) = some
+        i, j, c, s = (k + 1) % 3, (k + 2) % 3, np.cos(about[k]), np.sin(about[k])
+        out = np.array(np.broadcast_to(vectors, (max(len(vectors), len(c)), 3)))
+        out[:, i], out[:, j] = c * vectors[:, i] - s * vectors[:, j], s * vectors[:, i] + c * vectors[:, j]
+        return out
+    rotation = np.stack(np.broadcast_arrays(*about), axis=-1)
     return np.asarray(Rotation.from_rotvec(np.array(np.broadcast_to(rotation, vectors.shape))).apply(np.array(vectors)))
 
 

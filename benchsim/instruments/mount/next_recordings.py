@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import amplitudes
@@ -27,6 +26,9 @@ HOURS = (-4.0, -2.0, 0.0, 2.0, 4.0)
 
 LOWEST = np.radians(12.0)
 """Elevation below which nothing is recorded."""
+
+STEPS, LONGEST, SMALL = 25, 0.3, 1e-5
+"""Newton's steps to an aim, the longest of them and the one of its derivatives, in ranges of the known readings."""
 
 STARS = 8
 """In a ring of one elevation."""
@@ -61,22 +63,25 @@ def _candidates(predict: Predict) -> Iterator[tuple[str, Records]]:
     targets = {
         t: records.spot[[k for k, o in enumerate(records.target) if o == t]].mean(axis=0) for t in records.target
     }
-    for season, declination in SEASONS:
-        for hour in HOURS:
-            sun = sun_at(latitude, declination, hour)
-            azimuth, elevation = angles(sun)
-            if elevation < LOWEST:
-                continue
-            for target, spot in targets.items():
-                at = aimed(mount, sun, spot, records.reading)
-                if at is None:
-                    continue
-                when = "at noon" if hour == 0 else f"{abs(hour):g} h {'before' if hour < 0 else 'after'} noon"
-                what = (
-                    f"Record a spot on {target} at {season} {when} (sun at azimuth {np.degrees(azimuth):.0f} deg from "
-                    f"north through east, elevation {np.degrees(elevation):.0f} deg)."
-                )
-                yield what, Records(("next",), at[None], sun[None], spot[None], (target,))
+    asked = [
+        (season, hour, target, sun)
+        for season, declination in SEASONS
+        for hour in HOURS
+        if angles(sun := sun_at(latitude, declination, hour))[1] >= LOWEST
+        for target in targets
+    ]
+    suns = np.array([sun for *_, sun in asked]).reshape(-1, 3)
+    spots = np.array([targets[target] for _, _, target, _ in asked]).reshape(-1, 3)
+    for (season, hour, target, sun), at in zip(asked, aimed(mount, suns, spots, records.reading), strict=True):
+        if not np.isfinite(at).all():
+            continue
+        azimuth, elevation = angles(sun)
+        when = "at noon" if hour == 0 else f"{abs(hour):g} h {'before' if hour < 0 else 'after'} noon"
+        what = (
+            f"Record a spot on {target} at {season} {when} (sun at azimuth {np.degrees(azimuth):.0f} deg from "
+            f"north through east, elevation {np.degrees(elevation):.0f} deg)."
+        )
+        yield what, Records(("next",), at[None], sun[None], targets[target][None], (target,))
 
 
 def _sky(mount: Mount, reading: Array, where: Array) -> Records:
@@ -90,25 +95,38 @@ def sun_at(latitude: float, declination: float, hour: float) -> Array:
     return toward(*horizontal(latitude, declination, hour * np.pi / 12))
 
 
-def aimed(mount: Mount, sun: Array, spot: Array, known: Array) -> Array | None:
-    """Readings (2,) at which the stated mount sends the sun's light to a spot; None where it cannot be reached.
+def aimed(mount: Mount, suns: Array, spots: Array, known: Array) -> Array:
+    """Readings (T, 2) at which the stated mount sends the light of suns (T, 3) to spots (T, 3).
 
-    Found by least squares from each of the known readings' middle and extremes, actuators within their travel.
+    Found by damped Newton steps from the middle and the extremes of the known readings, actuators within their travel;
+    nan where a spot cannot be reached.
     """
-
-    def miss(reading: Array) -> Array:
-        normal, centre = axes.pointing(mount, reading[None] * unit, {})
-        beam = axes.reflected(normal[0], sun)
-        toward_spot = spot - centre[0]
-        out = np.asarray(1e3 * (beam - toward_spot / np.linalg.norm(toward_spot)))
-        return np.where(np.isfinite(out), out, 1e3)
-
     unit = np.maximum(np.ptp(known, axis=0), 1e-3 * np.maximum(np.abs(known).max(axis=0), 1.0))
+    out = np.full((len(suns), 2), np.nan)
     for start in (np.median(known, axis=0), *known[:: max(1, len(known) // 4)]):
-        found = least_squares(miss, start / unit, x_scale=0.1)
-        if np.abs(found.fun).max() < 1e-4 and (not mount.actuators or (found.x >= 0).all()):
-            return np.asarray(found.x * unit)
-    return None
+        left = np.flatnonzero(np.isnan(out[:, 0]))
+        if not len(left):
+            break
+        sun, spot = suns[left], spots[left]
+
+        def off(x: Array, sun: Array = sun, spot: Array = spot) -> Array:
+            normal, centre = axes.pointing(mount, x * unit, {})
+            goal = spot - centre
+            found = 1e3 * (axes.reflected(normal, sun) - goal / np.linalg.norm(goal, axis=1, keepdims=True))
+            return np.where(np.isfinite(found), found, 1e3)
+
+        x = np.tile(start / unit, (len(left), 1))
+        for _ in range(STEPS):
+            here = off(x)
+            slope = np.stack([(off(x + SMALL * e) - here) / SMALL for e in np.eye(2)], axis=-1)
+            inner = np.einsum("tki,tkj->tij", slope, slope) + 1e-12 * np.eye(2)
+            step = np.linalg.solve(inner, np.einsum("tki,tk->ti", slope, here)[..., None])[..., 0]
+            x = x - np.clip(step, -LONGEST, LONGEST)
+        good = np.abs(off(x)).max(axis=1) < 1e-4
+        if mount.actuators:
+            good &= (x >= 0).all(axis=1)
+        out[left[good]] = x[good] * unit
+    return out
 
 
 def _further(problem: Problem, predict: Predict, sigma: float, what: str, records: Records) -> NextRecording:
