@@ -35,7 +35,7 @@ def joined(folder: Path) -> tuple[shared_causes.Joint, dict[str, float]]:
     truth = json.loads((folder / "truth.json").read_text())
     sessions = {name: paint.read(folder / name) for name in truth["heliostats"]}
     first = next(iter(sessions.values()))
-    many = shared_causes.causes(first.mount.targets)
+    many = shared_causes.causes(first.mount, first.records)
     heard = [shared_causes.witness(n, s, many) for n, s in sessions.items()]
     return shared_causes.joint(heard, many, shared_causes.parameters(first, many)), truth["shared"]
 

@@ -256,7 +256,7 @@ def _listed(source: Path, tower: Path | None) -> list[Heliostat]:
 def witness_of(heliostat: Heliostat) -> Witness:
     """What one heliostat says of what the field shares."""
     session = mount_diagnosis.distinct(paint.read(heliostat.folder, heliostat.tower))
-    return shared_causes.witness(heliostat.name, session, shared_causes.causes(session.mount.targets))
+    return shared_causes.witness(heliostat.name, session, shared_causes.causes(session.mount, session.records))
 
 
 def _joint(heard: Sequence[Witness], everyone: Sequence[Heliostat]) -> Joint:
@@ -270,7 +270,7 @@ def _joint(heard: Sequence[Witness], everyone: Sequence[Heliostat]) -> Joint:
         )
     first = next(h for h in everyone if h.name == heard[0].name)
     session = paint.read(first.folder, first.tower)
-    many = shared_causes.causes(session.mount.targets)
+    many = shared_causes.causes(session.mount, session.records)
     return shared_causes.joint(heard, many, shared_causes.parameters(session, many))
 
 

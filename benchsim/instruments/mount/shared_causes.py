@@ -36,7 +36,7 @@ from benchsim.diagnosis.evidence import amplitudes, log_prior, shapes
 from benchsim.diagnosis.problem import Parameter, Problem
 from benchsim.instruments.mount import effects
 from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.records import Array, Session
+from benchsim.instruments.mount.records import Array, Mount, Records, Session
 
 OWN = 0.05
 """Prior probability that a heliostat says nothing of the field: 3 in ln Z is the most that any one can say."""
@@ -61,6 +61,12 @@ OF_THE_FIELD = ("target-position", "refraction", "clock")
 """Effects of the catalogue that are no single heliostat's."""
 
 ACTUATORS = ("actuator-length", "actuator-offset", "actuator-radius")
+"""Effects that a batch of actuators brings to all heliostats alike."""
+
+MOST_OF_THEM = 2 / 3
+"""Part of the heliostats that could see a cause which have to bear it out: by chance some agree on anything. Of sixteen
+real heliostats eight agreed on a tower 1.3 m beside its place, where their targets agree to 0.1 m; in fields of other
+code at least 86 % bear out what was concealed."""
 
 
 @dataclass(frozen=True)
@@ -125,8 +131,9 @@ class Shared:
     witnesses: int
 
 
-def causes(targets: Sequence[str]) -> tuple[Cause, ...]:
-    """What the heliostats of a plant with these targets may share."""
+def causes(mount: Mount, records: Records) -> tuple[Cause, ...]:
+    """What the heliostats of a plant may share; mount and records are any one's of them."""
+    targets = effects.targets(mount, records)
     hang = tuple(
         Cause(
             f"target {t}",
@@ -137,20 +144,22 @@ def causes(targets: Sequence[str]) -> tuple[Cause, ...]:
     )
     # Targets that all move by d are heliostats that all move by −d.
     tower = tuple((f"tower_{a}", "mirror-position", f"mirror_{a}", -1.0) for a in "enu")
-    actuators = tuple(
+    known = {e.name: e for e in effects.candidates(mount, records, every=True)}
+    batch = tuple(
         Cause(
-            f"batch {e}",
-            f"All heliostats' actuators share an error: {e}.",
-            tuple((f"{e.partition('-')[2]}_{k}", e, f"{e.partition('-')[2]}_{k}", 1.0) for k in (1, 2)),
+            f"batch {name}",
+            f"All heliostats have this alike: {known[name].says[0].lower()}{known[name].says[1:]}",
+            tuple((p.name, name, p.name, 1.0) for p in amplitudes(known[name])),
         )
-        for e in ACTUATORS
+        for name in ACTUATORS
+        if name in known
     )
     return (
         *hang,
         Cause("tower", "The tower with all its targets stands elsewhere than stated, for every heliostat.", tower),
         Cause("clock", "One clock is wrong for every heliostat.", (("dt", "clock", "dt", 1.0),)),
         Cause("refraction", "The sun's model is wrong for every heliostat.", (("refr", "refraction", "refr", 1.0),)),
-        *actuators,
+        *batch,
     )
 
 
@@ -290,8 +299,7 @@ def joint(witnesses: Sequence[Witness], many: Sequence[Cause], own: Sequence[Par
         bears = int((field.each(at) > field.each(without) + HEARD).sum())
         values, sizes = ({own[i].name: float(x[i] * own[i].sigma) for i in places[c]} for x in (at, sigma))
         units = {own[i].name: own[i].unit for i in places[c]}
-        # By chance some agree on anything: what is shared is borne out by most of those that could see it.
-        if probability >= LIKELY and 2 * bears > field.seeing(places[c]):
+        if probability >= LIKELY and bears >= MOST_OF_THEM * field.seeing(places[c]):
             shared.append(Shared(many[c], probability, values, sizes, units, bears))
     rivals = sorted(((tuple(names[c] for c in s), z[best] - v) for s, v in z.items()), key=lambda x: x[1])
     return Joint(tuple(shared), tuple(r for r in rivals[1:] if r[1] < MISSING))
@@ -336,9 +344,8 @@ class _Field:
         return np.logaddexp(logsumexp(z, axis=1), own).sum(axis=0) - 0.5 * (many**2).sum(axis=1)
 
     def seeing(self, places: Sequence[int]) -> int:
-        """How many heliostats know some parameters better than their priors do, by their most probable set."""
-        best = self.gram[np.arange(len(self.gram)), np.argmax(self.log_z, axis=1)]
-        return int((best[:, places, places] > 1.0).any(axis=1).sum())
+        """How many heliostats can know some parameters better than their priors do, beside one or another set."""
+        return int((self.gram[:, :, places, places] > 1.0).any(axis=(1, 2)).sum())
 
     def peak(self, places: list[int]) -> tuple[float, Array, Array]:
         """ln of the evidence with some parameters free, and their posterior mean and 1 sigma."""

@@ -77,7 +77,7 @@ def heard(folder):
     truth = json.loads((folder / "truth.json").read_text())
     sessions = {name: paint.read(folder / name) for name in truth["heliostats"]}
     first = next(iter(sessions.values()))
-    many = shared_causes.causes(first.mount.targets)
+    many = shared_causes.causes(first.mount, first.records)
     said = [shared_causes.witness(name, s, many) for name, s in sessions.items()]
     return joint(said, many, shared_causes.parameters(first, many)), truth["shared"]
 
@@ -105,7 +105,7 @@ def test_a_field_that_shares_nothing_has_no_shared_cause(script, tmp_path):
 def test_what_is_shared_is_stated_for_every_heliostat(script, tmp_path):
     script("field_made").make(tmp_path, 1, 6, 3, ["none"])
     session = paint.read(next(p for p in tmp_path.iterdir() if p.is_dir()))
-    tower = next(c for c in shared_causes.causes(session.mount.targets) if c.name == "tower")
+    tower = next(c for c in shared_causes.causes(session.mount, session.records) if c.name == "tower")
     shared = shared_causes.Shared(
         tower, 1.0, {"tower_e": 100.0, "tower_n": 0.0, "tower_u": -50.0}, {}, dict.fromkeys(("tower_e",), "mm"), 9
     )
