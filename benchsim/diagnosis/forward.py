@@ -48,6 +48,12 @@ BETTER = 2.0
 """Sigma, by the scatter of the stretches' own differences, by which one more effect has to predict better."""
 
 
+AS_WELL = 1.1
+"""Mean loss over that of the model that predicts best, up to which the set that evidence favours is stated. With the
+latter alone 13 of 30 simulated pairs had a wrong name beside them, a near synonym; so they have it in 1, and of sixteen
+real heliostats later records are missed by 1 % more."""
+
+
 @dataclass(frozen=True)
 class Model:
     """A set of effects, fitted to all data, and the loss of every datum where its stretch of time was left out."""
@@ -58,7 +64,10 @@ class Model:
 
 
 def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tuple[Model, Model]:
-    """Nothing, and the model that predicts best: grown from it, or from a set that evidence favours if that is better.
+    """Nothing, and the model that is stated: what evidence favours if it predicts as well as any, else the best.
+
+    What predicts best is grown from nothing, or from a set that evidence favours if that is better. Near synonyms
+    predict alike, and only evidence weighs what each has to explain; but what begins at a time has to predict better.
 
     Parameters
     ----------
@@ -66,15 +75,15 @@ def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tup
     naming : Naming
         For the shapes of its fits.
     from_these : sequence of Effects
-        Sets that evidence favours.
+        Sets that evidence favours, the best first.
 
     Notes
     -----
-    An effect that differs from place to place (targets that hang wrong, each by its own) is not among them: it says
-    nothing of a place that no record is of.
+    An effect that differs from place to place (targets that hang wrong, each by its own) is not grown: it says nothing
+    of a place that no record is of.
     """
     known: dict[Effects, Model] = {}
-    shaped = {e.name: _shapes(naming, e) for e in problem.catalogue if not e.random_field}
+    shaped = {e.name: _shapes(naming, e) for e in problem.catalogue}
     usable = {e.name: e for e in problem.catalogue if shaped.get(e.name) is not None}
     most = (1 - 1 / FOLDS) * len(problem.data) / PER_PARAMETER
     lower = linear.factors(problem.covariance)
@@ -94,6 +103,7 @@ def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tup
     def grown(now: Model) -> Model:
         while len(now.effects) < LARGEST:
             others = [n for n in usable if n not in now.effects and few([*now.effects, n])]
+            others = [n for n in others if not usable[n].random_field]
             points = [({**now.values, **(shaped[n] or {})}, own([n])[len(problem.nuisances) :]) for n in others]
             columns = linear.columns_at(problem, [(now.values, own(now.effects)), *points])
             foretold = [
@@ -110,11 +120,15 @@ def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tup
 
     nothing = model((), {})
     found = grown(nothing)
-    for effects in from_these:
+    for effects in from_these[1:]:
         if set(effects) <= set(usable) and few(effects):
             other = model(effects, {})
             if _better(problem, found, other):
                 found = grown(other)
+    first = from_these[0] if from_these else ()
+    steady = first and all(n in usable and not evidence.shapes(usable[n]) for n in first)
+    if steady and few(first) and model(first, {}).losses.mean() < AS_WELL * found.losses.mean():
+        found = model(first, {})
     return nothing, found
 
 

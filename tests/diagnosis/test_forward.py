@@ -32,7 +32,7 @@ def test_neighbours_in_time_are_left_out_together_and_settings_in_turn():
 def test_the_effect_that_predicts_is_found_and_no_other():
     """A bow of 1 beside settings that scatter by 0.3: nothing else carries from one stretch of time to the next."""
     problem = records({"bow": 1.0}, 3)
-    nothing, found = forward.best(problem, NOTHING, [("bow", "lens-a")])
+    nothing, found = forward.best(problem, NOTHING, [(), ("bow", "lens-a")])
     won, sigma = forward.gain(problem, nothing, found)
     assert won > 3 * sigma
     assert found.effects == ("bow",)
@@ -69,3 +69,10 @@ def test_few_records_are_not_asked_for_many_numbers():
     problem = records({"bow": 1.0}, 1, blocks=3)
     few = replace(problem, catalogue=tuple(e for e in problem.catalogue if e.name in ("bow", "creep")))
     assert len(forward.best(few, NOTHING, ())[1].effects) <= 2
+
+
+def test_near_synonyms_are_told_by_evidence_and_a_change_only_by_what_it_predicts():
+    """Two lenses predict a later line alike; which of them is stated is what evidence says, whichever predicts best."""
+    problem = records({"lens_a": 1.0}, 3)
+    names = {forward.best(problem, NOTHING, [(first,)])[1].effects for first in ("lens-a", "lens-b")}
+    assert names == {("lens-a",), ("lens-b",)}
