@@ -1,5 +1,7 @@
 """Which hypotheses merge: the distance against a dense fit, caps, and the shapes that a claim can take."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
@@ -161,7 +163,7 @@ def test_a_further_recording_counts_as_if_it_were_there():
         full.block[now],
         0.0,
     )
-    seven = type(eight)(**{**vars(eight), "nuisances": (*eight.nuisances[:21], eight.nuisances[24])})
+    seven = replace(eight, nuisances=(*eight.nuisances[:21], eight.nuisances[24]))
     last = ~now
     new = {f"g7.{k}": i for k, i in (("offset", 21), ("slope", 22), ("shift", 23))}
     priors = {n: Parameter(n, "mm", 0.5, scaled=True) for n in new}
