@@ -1,5 +1,7 @@
 """Limits against injections: an effect of just that size is five sigma in the data."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toy import toy
@@ -41,7 +43,7 @@ def test_the_worst_parameter_speaks_for_the_effect():
     problem = toy()
     one = problem.catalogue[0]
     both = type(one)(**{**vars(one), "parameters": (*one.parameters, *problem.catalogue[1].parameters)})
-    problem = type(problem)(**{**vars(problem), "catalogue": (both,)})
+    problem = replace(problem, catalogue=(both,))
     linear = linearise(problem, {}, everything(problem))
     found = limits(problem, degeneracy.space(problem, linear, 1.0), linear.names)
     assert found["bow"].parameter == "swell"
@@ -55,7 +57,7 @@ def test_a_field_of_many_is_given_by_its_rms():
     field = type(one)(**{**vars(one), "parameters": parts, "random_field": True})
     gram = np.diag([100.0, 100.0, 400.0, 400.0])
     within = degeneracy.Space(gram, np.zeros(4), np.ones(4), -np.ones(4), np.ones(4), {"bow": np.arange(4)})
-    problem = type(problem)(**{**vars(problem), "catalogue": (field,)})
+    problem = replace(problem, catalogue=(field,))
     found = limits(problem, within, tuple(p.name for p in parts))["bow"]
     assert found.parameter == "tilt_rms"
     # Amplitudes of that rms have a mean squared norm of 25.

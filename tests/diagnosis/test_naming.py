@@ -5,12 +5,13 @@ and how bad one would have to be to pass it in one run of twenty. The bars thems
 slow.
 """
 
+from dataclasses import replace
+
 import lines
 import numpy as np
 import pytest
 
 from benchsim.diagnosis import degeneracy, linear, name, settings
-from benchsim.diagnosis.problem import Problem
 
 AMPLITUDES = [p for e in lines.CATALOGUE for p in e.parameters if not p.grid]
 SURE = 0.99
@@ -173,6 +174,6 @@ def test_data_that_cannot_be_used_are_refused():
     data = problem.data.copy()
     data[3] = np.nan
     with pytest.raises(ValueError, match="not finite"):
-        name(Problem(**{**vars(problem), "data": data}))
+        name(replace(problem, data=data))
     with pytest.raises(ValueError, match="block after block"):
-        name(Problem(**{**vars(problem), "block": problem.block[::-1].copy()}))
+        name(replace(problem, block=problem.block[::-1].copy()))

@@ -3,6 +3,8 @@
 Thresholds are three standard errors of the statistic over the stated number of data sets, unless they say otherwise.
 """
 
+from dataclasses import replace
+
 import lines
 import numpy as np
 import pytest
@@ -63,7 +65,7 @@ def test_only_the_white_part_is_scaled():
     problem, _ = lines.problem(seed=1, sigma=1.4)
     slope = np.concatenate([lines.Y, 0 * lines.Y])
     stated = problem.covariance[0] + 0.05**2 * np.outer(slope, slope)
-    made = Problem(**{**vars(problem), "covariance": (stated,) * 6})
+    made = replace(problem, covariance=(stated,) * 6)
     residual = made.data - linear.predict_all(made, {})
     remove = linear.columns(made, {}, made.nuisances) * [4.5 * p.sigma for p in made.nuisances]
     found = noise.estimate(made, residual, remove)
@@ -76,7 +78,7 @@ def test_only_the_white_part_is_scaled():
 def test_overstated_noise_leaves_a_covariance_positive():
     problem, _ = lines.problem(seed=1, sigma=0.2)
     shape = np.exp(-np.abs(np.subtract.outer(np.tile(lines.Y, 2), np.tile(lines.Y, 2))) / 0.5)
-    made = Problem(**{**vars(problem), "covariance": (problem.covariance[0] + 0.02**2 * shape,) * 6})
+    made = replace(problem, covariance=(problem.covariance[0] + 0.02**2 * shape,) * 6)
     remove = linear.columns(made, {}, made.nuisances) * [4.5 * p.sigma for p in made.nuisances]
     found = noise.estimate(made, made.data - linear.predict_all(made, {}), remove)
     assert found.scale["c"] < 0.8
@@ -88,7 +90,7 @@ def test_only_the_blocks_asked_for_are_judged():
     data = problem.data.copy()
     last = problem.block == 5
     data[last] += 10 * lines.SIGMA * np.random.default_rng(0).normal(size=last.sum())
-    made = Problem(**{**vars(problem), "data": data})
+    made = replace(problem, data=data)
     residual = made.data - linear.predict_all(made, {})
     remove = linear.columns(made, {}, made.nuisances) * [4.5 * p.sigma for p in made.nuisances]
     assert noise.estimate(made, residual, remove).scale["c"] > 2
