@@ -42,13 +42,10 @@ OWN = 0.05
 """Prior probability that a heliostat says nothing of the field: 3 in ln Z is the most that any one can say."""
 
 HEARD = 0.1
-"""Gain in ln Z from which on a heliostat counts as one that bears a cause out."""
+"""Gain in ln Z from which on a heliostat bears a cause out."""
 
-TOGETHER = 3
-"""Own effects of a heliostat in one set."""
-
-NEAR, MOST = 20.0, 32
-"""ln Z behind a heliostat's best set, with whatever causes, up to which sets are kept, and how many."""
+TOGETHER, NEAR, MOST = 3, 20.0, 32
+"""Own effects in a heliostat's set; ln Z behind its best, with whatever causes, up to which sets are kept; how many."""
 
 DRAWS, ROUNDS, TAIL = 512, 3, 5.0
 """Points of the importance sampling, times that they are drawn anew about where the last ones found most, and degrees
@@ -144,15 +141,14 @@ def causes(mount: Mount, records: Records) -> tuple[Cause, ...]:
     )
     # Targets that all move by d are heliostats that all move by −d.
     tower = tuple((f"tower_{a}", "mirror-position", f"mirror_{a}", -1.0) for a in "enu")
-    known = {e.name: e for e in effects.candidates(mount, records, every=True)}
     batch = tuple(
         Cause(
-            f"batch {name}",
-            f"All heliostats have this alike: {known[name].says[0].lower()}{known[name].says[1:]}",
-            tuple((p.name, name, p.name, 1.0) for p in amplitudes(known[name])),
+            f"batch {e.name}",
+            f"All heliostats have this alike: {e.says[0].lower()}{e.says[1:]}",
+            tuple((p.name, e.name, p.name, 1.0) for p in amplitudes(e)),
         )
-        for name in ACTUATORS
-        if name in known
+        for e in effects.candidates(mount, records, every=True)
+        if e.name in ACTUATORS
     )
     return (
         *hang,
@@ -176,10 +172,7 @@ def parameters(session: Session, many: Sequence[Cause]) -> tuple[Parameter, ...]
 def witness(name: str, session: Session, many: Sequence[Cause]) -> Witness:
     """What a heliostat's records say of causes.
 
-    Raises
-    ------
-    BenchsimError
-        As `problem.build`.
+    Raises BenchsimError as `problem.build`.
     """
     known = {e.name: e for e in effects.candidates(session.mount, session.records, every=True)}
     terms = [(next(p for p in known[e].parameters if p.name == t), f) for c in many for _, e, t, f in c.terms]
@@ -288,19 +281,24 @@ def joint(witnesses: Sequence[Witness], many: Sequence[Cause], own: Sequence[Par
         best = top
     z = {chosen: weigh(chosen) for chosen in known}
     total = float(logsumexp(list(z.values())))
-    at, sigma = np.zeros(field.projection.shape[2]), np.zeros(field.projection.shape[2])
-    where = [i for c in best for i in places[c]]
-    at[where], sigma[where] = known[best][1], known[best][2]
+    chance = {c: float(np.exp(logsumexp([v for s, v in z.items() if c in s]) - total)) for c in best}
+    # What is not said is not left in the sizes of what is: those are of the causes that are stated, by themselves.
+    said = best
+    while True:
+        weigh(said)
+        at, sigma = np.zeros(field.projection.shape[2]), np.zeros(field.projection.shape[2])
+        where = [i for c in said for i in places[c]]
+        at[where], sigma[where] = known[said][1:]
+        bears = {c: field.bears(at, places[c]) for c in said}
+        holds = tuple(c for c in said if chance[c] >= LIKELY and bears[c] >= MOST_OF_THEM * field.seeing(places[c]))
+        if holds == said:
+            break
+        said = holds
     shared = []
-    for c in best:
-        probability = float(np.exp(logsumexp([v for s, v in z.items() if c in s]) - total))
-        without = at.copy()
-        without[places[c]] = 0.0
-        bears = int((field.each(at) > field.each(without) + HEARD).sum())
+    for c in said:
         values, sizes = ({own[i].name: float(x[i] * own[i].sigma) for i in places[c]} for x in (at, sigma))
         units = {own[i].name: own[i].unit for i in places[c]}
-        if probability >= LIKELY and bears >= MOST_OF_THEM * field.seeing(places[c]):
-            shared.append(Shared(many[c], probability, values, sizes, units, bears))
+        shared.append(Shared(many[c], chance[c], values, sizes, units, bears[c]))
     rivals = sorted(((tuple(names[c] for c in s), z[best] - v) for s, v in z.items()), key=lambda x: x[1])
     return Joint(tuple(shared), tuple(r for r in rivals[1:] if r[1] < MISSING))
 
@@ -316,23 +314,31 @@ class _Field:
 
     @staticmethod
     def of(witnesses: Sequence[Witness]) -> _Field:
-        m, k = max(len(w.log_z) for w in witnesses), witnesses[0].projection.shape[1]
-        out = _Field(
-            np.full((len(witnesses), m), -np.inf),
-            np.zeros((len(witnesses), m, k)),
-            np.zeros((len(witnesses), m, k, k)),
+        most = max(len(w.log_z) for w in witnesses)
+
+        def together(many: Sequence[Array], nothing: float) -> Array:
+            return np.stack(
+                [np.pad(x, [(0, most - len(x)), *[(0, 0)] * (x.ndim - 1)], constant_values=nothing) for x in many]
+            )
+
+        return _Field(
+            together([w.log_z for w in witnesses], -np.inf),
+            together([w.projection for w in witnesses], 0.0),
+            together([w.gram for w in witnesses], 0.0),
             np.array([w.own for w in witnesses]),
         )
-        for h, w in enumerate(witnesses):
-            n = len(w.log_z)
-            out.log_z[h, :n], out.projection[h, :n], out.gram[h, :n] = w.log_z, w.projection, w.gram
-        return out
 
     def each(self, s: Array) -> Array:
         """ln of every heliostat's factor of L(s), (H,)."""
         z = self.log_z + self.projection @ s - 0.5 * np.einsum("hmij,i,j->hm", self.gram, s, s)
         both = np.concatenate([np.log1p(-OWN) + z, (np.log(OWN) + self.own)[:, None]], axis=1)
         return np.asarray(logsumexp(both, axis=1))
+
+    def bears(self, at: Array, places: Sequence[int]) -> int:
+        """How many heliostats are more probable with some parameters than without, the others as they are."""
+        without = at.copy()
+        without[places] = 0.0
+        return int((self.each(at) > self.each(without) + HEARD).sum())
 
     def total(self, many: Array) -> Array:
         """ln L(s) − ½ |s|² at points (S, k), (S,)."""
