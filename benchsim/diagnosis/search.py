@@ -51,8 +51,8 @@ VALLEYS = 3
 BENT = 1.3
 """Mean setting scale from which on a fit's settings are taken to hide an effect: then the `AT_ONCE` that were weighed
 best are tried beside it whatever they were weighed, and from the stated settings. It costs time only; a tilt's settings
-hid a coma of 9 sigma at 1.37. With all that the catalogue has, light that wanders took 190 and 380 s of CPU, not 70 and
-150, to the same best sets."""
+hid a coma of 9 sigma at 1.37. With all that the catalogue has, light that wanders took 190 and 382 s of CPU, not 76 and
+152, to the same best sets."""
 
 SQUARE, NOTICED = 0.25, 3.0
 """What bends the data: at half a prior sigma its square shows by a quarter as much as itself, and by 3 sigma."""
