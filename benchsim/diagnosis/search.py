@@ -49,10 +49,8 @@ VALLEYS = 3
 """Minima of an amplitude's own curve, or best places of an effect that has a place, from which a fit begins."""
 
 BENT = 1.3
-"""Mean setting scale from which on a fit's settings are taken to hide an effect: then the `AT_ONCE` that were weighed
-best are tried beside it whatever they were weighed, and from the stated settings. It costs time only; a tilt's settings
-hid a coma of 9 sigma at 1.37. With all that the catalogue has, light that wanders took 190 and 382 s of CPU, not 76 and
-152, to the same best sets."""
+"""Mean setting scale from which on a fit's settings are taken to hide an effect: then every effect is tried beside it,
+and from the stated settings. It costs time only; a tilt's settings hid a coma of 9 sigma at 1.37."""
 
 SQUARE, NOTICED = 0.25, 3.0
 """What bends the data: at half a prior sigma its square shows by a quarter as much as itself, and by 3 sigma."""
@@ -81,8 +79,6 @@ class Search:
         ln Z of every set that was weighed or fitted, and the fit about which.
     done
         Best fit of each set.
-    tried
-        Bests beside which one effect more was tried because they hide what they lack.
     """
 
     context: Context
@@ -92,7 +88,6 @@ class Search:
     done: dict[Effects, Solved]
     stated: Solved
     earlier: Mapping[Effects, Begun] = field(default_factory=dict)
-    tried: set[Effects] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.names = tuple(self.catalogue.effects)
@@ -178,10 +173,8 @@ def _next(s: Search) -> list[Effects]:
     # A smaller set that looks better from here than it was fitted ended in another valley.
     foretold = {} if misses(best) else log_z_about(s, best, drops)
     again = [e for e, z in foretold.items() if e in s.done and z > max(s.done[e].fit.log_evidence + 1, top - MATTERS)]
-    hidden = strayed(s.context, best) and len(own) < LARGEST and own not in s.tried
-    s.tried.add(own)
+    hidden = strayed(s.context, best) and len(own) < LARGEST
     more = [s.ordered((*own, n)) for n in s.names if n not in own] if hidden else []
-    more = sorted((e for e in more if e not in s.done), key=lambda e: -s.log_z.get(e, -np.inf))[:AT_ONCE]
     wanted = [e for e in (*drops, *_rivals(s, best), *more) if e not in s.done]
     weighed = [e for e in s.log_z if e not in s.done and s.log_z[e] > top - _margin(s, e)]
     weighed = sorted(weighed, key=lambda e: -s.log_z[e])
