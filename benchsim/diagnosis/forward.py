@@ -156,8 +156,7 @@ def _model(
     columns = linear.lowered(lower, linear.columns(problem, whole, tuple(own)) * sigma)
     target = _white(problem, lower, [whole])[0] + columns @ at
     stretch = in_turn(problem)[problem.block]
-    many = range(int(stretch.max()) + 1)
-    without = [whole | _named(own, _solved(target[stretch != s], columns[stretch != s], own) * sigma) for s in many]
+    without = [whole | _named(own, x * sigma) for x in _without(target, columns, own, stretch)]
     each = loss(np.stack(_white(problem, lower, without)))
     return Model(effects, whole, each[stretch, np.arange(len(stretch))])
 
@@ -169,11 +168,16 @@ def _foretold(problem: Problem, lower: Sequence[Array], now: Model, own: Sequenc
     at = np.array([now.values.get(p.name, 0.0) for p in own]) / sigma
     target = _white(problem, lower, [now.values])[0] + white @ at
     stretch = in_turn(problem)[problem.block]
-    total = 0.0
-    for s in range(int(stretch.max()) + 1):
-        out = stretch == s
-        total += loss(target[out] - white[out] @ _solved(target[~out], white[~out], own)).sum()
-    return total / len(target)
+    parts = [
+        loss(target[stretch == s] - white[stretch == s] @ x).sum()
+        for s, x in enumerate(_without(target, white, own, stretch))
+    ]
+    return float(sum(parts)) / len(target)
+
+
+def _without(target: Array, columns: Array, own: Sequence[Parameter], stretch: NDArray[np.intp]) -> list[Array]:
+    """`_solved` without each stretch of time in turn."""
+    return [_solved(target[stretch != s], columns[stretch != s], own) for s in range(int(stretch.max()) + 1)]
 
 
 def _shapes(naming: Naming, effect: Effect) -> dict[str, float] | None:

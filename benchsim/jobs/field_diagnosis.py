@@ -24,9 +24,8 @@ from threadpoolctl import threadpool_limits
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
-from benchsim.instruments.mount import paint, shared_causes
-from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.records import Array, Session
+from benchsim.instruments.mount import misses, paint, shared_causes
+from benchsim.instruments.mount.records import UNITS, Session
 from benchsim.instruments.mount.shared_causes import Joint, Shared, Witness
 from benchsim.jobs import mount_diagnosis
 from benchsim.jobs.cluster import cluster
@@ -313,11 +312,8 @@ def _key(session: Session, shared: Sequence[Shared], together: bool, draw: bool)
 def _row(heliostat: Heliostat, session: Session, result: MountDiagnosis) -> dict[str, Any]:
     d, position = result.diagnosis, session.mount.position / 1e3
     distance = np.linalg.norm(session.records.spot - session.mount.position, axis=1)
-    off = {
-        "before": _beam_off(session),
-        "after": _beam_off(replace(session, effects=result.found, fields=result.fields)),
-    }
-    size = {w: np.linalg.norm(x, axis=1) for w, x in off.items()}
+    amended = replace(session, effects=result.found, fields=result.fields)
+    angle = {w: misses.misses(x, {})[0] for w, x in (("before", session), ("after", amended))}
     return {
         "id": heliostat.name,
         "east_m": float(position[0]),
@@ -329,20 +325,14 @@ def _row(heliostat: Heliostat, session: Session, result: MountDiagnosis) -> dict
         + [" or ".join("+".join(m) or "nothing" for m in c.members) for c in d.classes],
         "effects": [asdict(f) for f in d.effects],
         "classes": [[list(m) for m in c.members] for c in d.classes],
-        **{f"miss_{w}_mrad": float(np.median(x)) / 2 for w, x in size.items()},
-        **{f"miss_{w}_m": float(np.median(x * 1e-3 * distance)) / 1e3 for w, x in size.items()},
+        **{f"miss_{w}_mrad": float(np.nanmedian(x)) for w, x in angle.items()},
+        # The beam turns by twice the normal's angle.
+        **{f"miss_{w}_m": float(np.nanmedian(2 * UNITS["mrad"] * x * distance)) / 1e3 for w, x in angle.items()},
         "changed_at": result.changed_at,
         "set_aside": list(result.built.aside),
         "next": d.next[0].what if d.next else "",
         "page": f"{heliostat.name}/report.html",
     }
-
-
-def _beam_off(session: Session) -> Array:
-    """Predicted less recorded beam of every record, (n, 2) [mrad]."""
-    predict = mount_problem.predicted(session, [])
-    x = {name: np.full(1, value) for name, value in predict.stated.items()}
-    return predict.inside(x, np.arange(len(session.records.names)))
 
 
 def sentence(heliostat: Heliostat, error: Any) -> str:

@@ -336,8 +336,7 @@ class _Field:
 
     def bears(self, at: Array, places: Sequence[int]) -> int:
         """How many heliostats are more probable with some parameters than without, the others as they are."""
-        without = at.copy()
-        without[places] = 0.0
+        without = np.where(np.isin(np.arange(len(at)), places), 0.0, at)
         return int((self.each(at) > self.each(without) + HEARD).sum())
 
     def total(self, many: Array) -> Array:
@@ -362,11 +361,12 @@ class _Field:
 
         def slopes(s: Array) -> tuple[float, Array, Array]:
             z = self.log_z + b @ s - 0.5 * np.einsum("hmij,i,j->hm", g, s, s)
-            weight = np.exp(np.log1p(-OWN) + z - some.each(s)[:, None])
+            each = some.each(s)
+            weight = np.exp(np.log1p(-OWN) + z - each[:, None])
             slope = b - g @ s
             mean = np.einsum("hm,hmi->hi", weight, slope)
             curved = np.einsum("hm,hmij->ij", weight, g) - np.einsum("hm,hmi,hmj->ij", weight, slope, slope)
-            value = float(some.each(s).sum() - 0.5 * s @ s)
+            value = float(each.sum() - 0.5 * s @ s)
             return value, mean.sum(axis=0) - s, curved + mean.T @ mean + np.eye(len(s))
 
         lone = np.linalg.solve(g + np.eye(len(places)), b[..., None])[..., 0]

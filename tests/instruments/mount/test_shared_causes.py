@@ -4,8 +4,6 @@ Rationale: a mirror and a target that stand elsewhere look alike to one heliosta
 not be led by one whose days went wrong.
 """
 
-import json
-
 import numpy as np
 import pytest
 from scipy.special import logsumexp
@@ -72,22 +70,12 @@ def test_what_each_has_for_itself_is_not_shared():
         assert joint(scattered, (CLOCK,), SECOND).shared == ()
 
 
-def heard(folder):
-    """What a field says, its truth beside it."""
-    truth = json.loads((folder / "truth.json").read_text())
-    sessions = {name: paint.read(folder / name) for name in truth["heliostats"]}
-    first = next(iter(sessions.values()))
-    many = shared_causes.causes(first.mount, first.records)
-    said = [shared_causes.witness(name, s, many) for name, s in sessions.items()]
-    return joint(said, many, shared_causes.parameters(first, many)), truth["shared"]
-
-
 @pytest.mark.parametrize("what", ["target", "tower", "clock", "refraction"])
 def test_a_shared_cause_is_found_in_a_field_that_other_code_made(script, tmp_path, what):
     """Fourteen heliostats with errors of their own, records off by 1 mrad, days by 0.3; the sizes within 4 sigma
     (a false alarm in 3000 for six numbers), and nothing beside what was concealed."""
     script("field_made").make(tmp_path, 14, 24, 21, [what])
-    found, truth = heard(tmp_path)
+    found, truth = script("field_study").joined(tmp_path)
     assert [s.cause.name.split()[0] for s in found.shared] == [what]
     (one,) = found.shared
     assert one.probability > 0.99 and one.witnesses >= 9
@@ -99,7 +87,7 @@ def test_a_shared_cause_is_found_in_a_field_that_other_code_made(script, tmp_pat
 
 def test_a_field_that_shares_nothing_has_no_shared_cause(script, tmp_path):
     script("field_made").make(tmp_path, 14, 24, 22, ["none"])
-    assert heard(tmp_path)[0].shared == ()
+    assert script("field_study").joined(tmp_path)[0].shared == ()
 
 
 def test_what_is_shared_is_stated_for_every_heliostat(script, tmp_path):
