@@ -3,9 +3,8 @@
     python analysis/bench_other_code.py TRUTH.toml FOLDER --seed N [--truth FILE.json] [--exact FILE.json]
 
 TRUTH.toml is a bench file with `[effects]` and `[render]`; FOLDER gets the recording without them. `[render]` reads
-peak_fraction, room_fraction (white paper), full_well_e, read_noise_e, blur_px, speckle_px, speckle_contrast, noise, ghost.
-`--truth` writes what was drawn, and beside it an .npz of corners (px) and traces: rows y, z (mm by the marks), u, v (px),
-rms width (mm on the board), flux (relative, per mm of trace). `--exact` takes what was drawn from such a file.
+the keys of RENDER. `--truth` writes what was drawn, and beside it an .npz of corners (px) and traces: rows y, z (mm by
+the marks), u, v (px), rms width within 12 mm (mm on the board), flux (relative, per mm). `--exact` takes such a file.
 """
 
 from __future__ import annotations
@@ -27,37 +26,15 @@ from other_optics import DN_DT, Air, Beam, Board, Mirror, Scene, Trace, rotation
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 
-EFFECTS = {
-    "pivot-offset": "dr",
-    "canting": "pyr",
-    "facet-tilts": r"tilt_rms tilt_\d+",
-    "axis-wobble": "wob_c wob_s",
-    "axis-tilt": "ped_x ped_y",
-    "azimuth-offset": "az_enc",
-    "second-surface": "glass",
-    "facet-curvature": "fcurv",
-    "beam-direction": "saz sel",
-    "beam-offset": "bu bv",
-    "wavefront-curvature": "curv",
-    "astigmatism": "astig0 astig45",
-    "coma": "coma_u coma_v",
-    "window": "win",
-    "window-tilt": "win wty wtz",
-    "air-gradient": "air airh",
-    "plume": "plume plume_y plume_z plume_width",
-    "screen-distance": "sx",
-    "screen-tilt": "st_y st_z",
-    "screen-bow": "bow_y bow_z",
-    "screen-rotation": "srot",
-    "grid-scale": "gs",
-    "grid-aspect": "ga",
-    "grid-shear": "gsh",
-    "radial-distortion": "k1 k2",
-    "tangential-distortion": "p1 p2",
-    "rolling-shutter": "rs_s rs_c rs_period",
-    "saturation": "sat",
-    "drift": "dry drz",
-}
+EFFECTS = """
+pivot-offset: dr, canting: pyr, facet-tilts: tilt_rms tilt_\\d+, axis-wobble: wob_c wob_s, axis-tilt: ped_x ped_y,
+azimuth-offset: az_enc, second-surface: glass, facet-curvature: fcurv, beam-direction: saz sel, beam-offset: bu bv,
+wavefront-curvature: curv, astigmatism: astig0 astig45, coma: coma_u coma_v, window: win, window-tilt: win wty wtz,
+air-gradient: air airh, plume: plume plume_y plume_z plume_width, screen-distance: sx, screen-tilt: st_y st_z,
+screen-bow: bow_y bow_z, screen-rotation: srot, grid-scale: gs, grid-aspect: ga, grid-shear: gsh,
+radial-distortion: k1 k2, tangential-distortion: p1 p2, rolling-shutter: rs_s rs_c rs_period, saturation: sat,
+drift: dry drz"""
+PARAMETERS = {name: words.split() for name, words in (one.strip().split(": ") for one in EFFECTS.split(","))}
 UNCERTAINTY = {
     "mirror_position_mm": 1.0,
     "mirror_axis_mrad": 1.745,
@@ -84,19 +61,19 @@ RENDER = {
 INK = 0.04  # of white paper's reflectance: printed black
 ROOM_SLOPE = 0.1  # room light's change from the board's centre to its edge
 SHAPE_SIGMA = (0.02, 0.05, 0.05)  # c4, e+, ex (design 2.3, Light)
-SPILL_FRACTION = 0.6  # of the brightest pixel's light charge that spills; with the length of the tail it makes `sat`
+SPILL_FRACTION = 0.6  # of the brightest pixel's laser charge spills at most: the tail's length makes up for the rest
 
 
 def parameters(bench: dict[str, Any], rng: np.random.Generator) -> dict[str, float]:
     """Effect parameters of the file, zero where not given; random facet tilts are drawn here."""
-    known = {one: 0.0 for words in EFFECTS.values() for one in words.split() if "\\" not in one}
+    known = {one: 0.0 for words in PARAMETERS.values() for one in words if "\\" not in one}
     known |= {"plume_width": 30.0, "rs_period": 1400.0}
     for name, values in bench.get("effects", {}).items():
-        if name not in EFFECTS:
+        if name not in PARAMETERS:
             raise SystemExit(f"effect {name}: this program does not make it.")
         for key, value in values.items():
-            if not any(re.fullmatch(one, key) for one in EFFECTS[name].split()):
-                raise SystemExit(f"effect {name}: no parameter {key}; it has {EFFECTS[name]}.")
+            if not any(re.fullmatch(one, key) for one in PARAMETERS[name]):
+                raise SystemExit(f"effect {name}: no parameter {key}; it has {' '.join(PARAMETERS[name])}.")
             known[key] = float(value)
     if "window-tilt" in bench.get("effects", {}) and not known["win"]:
         known["win"] = 4.0
@@ -167,20 +144,12 @@ def scene(bench: dict[str, Any], number: int, p: dict[str, float], drawn: dict[s
     axis = unit(np.cross([0.0, 0, 1], normal))
     if body["stands_for"] == "azimuth":
         axis = np.cross(normal, axis)
-    turn = rotation(1e-3 * np.array([p["ped_x"], p["ped_y"], p["az_enc"]])) @ rotation(
-        1e-3 * (error["n_a1"] * normal + error["n_a2"] * np.cross(normal, axis))
-    )
+    turn = rotation(1e-3 * np.array([p["ped_x"], p["ped_y"], p["az_enc"]]))
+    turn = turn @ rotation(1e-3 * (error["n_a1"] * normal + error["n_a2"] * np.cross(normal, axis)))
     axis, normal = turn @ axis, turn @ normal
-    mirror = Mirror(
-        nominal + np.array([error["n_cx"], error["n_cy"], error["n_cz"]]),
-        axis,
-        normal,
-        inscribed + p["dr"],
-        inscribed * np.tan(np.pi / count),
-        body["height_mm"] / 2,
-        1e-3 * p["fcurv"],
-        p["glass"],
-    )
+    centre = nominal + np.array([error["n_cx"], error["n_cy"], error["n_cz"]])
+    sides = inscribed + p["dr"], inscribed * np.tan(np.pi / count), body["height_mm"] / 2
+    mirror = Mirror(centre, axis, normal, *sides, 1e-3 * p["fcurv"], p["glass"])
     dials = np.degrees(1e-3 * np.array([error["n_saz"] + p["saz"], error["n_sel"] + p["sel"]]))
     d = -to_source(exposure["laser_azimuth_deg"] + dials[0], exposure["laser_elevation_deg"] + dials[1])
     v = unit(axis - (axis @ d) * d)
@@ -189,43 +158,24 @@ def scene(bench: dict[str, Any], number: int, p: dict[str, float], drawn: dict[s
     diameter = laser["beam_diameter_mm"] * (1 + shape.get("diameter", 0.0))
     spread = 1e-3 * laser["divergence_mrad"] * (1 + shape.get("divergence", 0.0)) / diameter
     bend = 1e-3 * np.array([[p["curv"] + p["astig0"], p["astig45"]], [p["astig45"], p["curv"] - p["astig0"]]])
-    beam = Beam(
-        aim + p["bu"] * u + p["bv"] * v,
-        u,
-        v,
-        d,
-        diameter / 2,
-        spread * np.eye(2) + bend,
-        (1e-3 * p["coma_u"], 1e-3 * p["coma_v"]),
-        (shape.get("c4", 0.0), shape.get("e_plus", 0.0), shape.get("e_cross", 0.0)),
-    )
+    profile = tuple(shape.get(key, 0.0) for key in ("c4", "e_plus", "e_cross"))
+    start, coma = aim + p["bu"] * u + p["bv"] * v, (1e-3 * p["coma_u"], 1e-3 * p["coma_v"])
+    beam = Beam(start, u, v, d, diameter / 2, spread * np.eye(2) + bend, coma, profile)
     k = np.arange(count)
     leans = p["pyr"] + p["wob_c"] * np.cos(2 * np.pi * k / count) + p["wob_s"] * np.sin(2 * np.pi * k / count)
     leans = 1e-3 * (leans + np.array([p.get(f"tilt_{i}", 0.0) for i in k]))
-    chosen = [leans[exposure["facet"]]] if "facet" in exposure else sorted(set(leans.tolist()))
+    chosen = leans[[exposure["facet"]]] if "facet" in exposure else leans[:1] if np.ptp(leans) == 0 else leans
     shift = exposure.get("screen_shift_mm", 0.0)
-    window_turn = rotation(np.array([0, 0, np.radians(p["wtz"])])) @ rotation(np.array([0, np.radians(p["wty"]), 0]))
-    air = Air(
-        shift,
-        1e-3 * DN_DT * np.array([0.0, p["airh"], p["air"]]),
-        (1e-3 * p["plume"], p["plume_y"], p["plume_z"], p["plume_width"], 0.5 * (nominal[0] + shift)),
-        p["win"],
-        window_turn[:, 0],
-    )
+    slab = (rotation(np.radians([0, 0, p["wtz"]])) @ rotation(np.radians([0, p["wty"], 0])))[:, 0]
+    plume = (1e-3 * p["plume"], p["plume_y"], p["plume_z"], p["plume_width"], 0.5 * (nominal[0] + shift))
+    air = Air(shift, 1e-3 * DN_DT * np.array([0.0, p["airh"], p["air"]]), plume, p["win"], slab)
     times = [e.get("time_s", 0.0) for e in bench["exposure"]]
     hours = (exposure.get("time_s", 0.0) - min(times)) / 3600
     board = stand(exposure, p, drawn["seat_errors"][str(drawn["seats"][number])], hours)
-    return Scene(
-        beam,
-        mirror,
-        air,
-        board,
-        tuple(chosen),
-        1e-6 * laser["wavelength_nm"],
-        physics["diffraction"],
-        1e-3 * laser.get("incoherent_divergence_mrad", 0.0) / 4,
-        tuple(bench.get("screen", {}).get("size_mm", [700.0, 700.0])),
-    )
+    blur = 1e-3 * laser.get("incoherent_divergence_mrad", 0.0) / 4
+    size = tuple(bench.get("screen", {}).get("size_mm", [700.0, 700.0]))
+    wave = 1e-6 * laser["wavelength_nm"]
+    return Scene(beam, mirror, air, board, tuple(chosen), wave, physics["diffraction"], blur, size)
 
 
 def stand(exposure: dict[str, Any], p: dict[str, float], seat: dict[str, float], hours: float) -> Board:
@@ -233,13 +183,11 @@ def stand(exposure: dict[str, Any], p: dict[str, float], seat: dict[str, float],
     off = {"r_x": 0.0, "r_y": 0.0, "r_z": 0.0, "r_rot": 0.0, "r_ty": 0.0, "r_tz": 0.0} | seat
     roll, more = np.radians(exposure.get("screen_roll_deg", 0.0)), 1e-3 * (p["srot"] + off["r_rot"])
     tilt = turned_plane(1e-3 * (p["st_z"] + off["r_tz"]), 1e-3 * (p["st_y"] + off["r_ty"]))
-    return Board(
-        np.array([exposure.get("screen_shift_mm", 0.0) + p["sx"] + off["r_x"], off["r_y"], off["r_z"]]),
-        rotation(np.array([roll, 0, 0])) @ tilt @ rotation(np.array([more, 0, 0])),
-        (1e-3 * p["bow_y"], 1e-3 * p["bow_z"]),
-        np.array([0.0, p["dry"], p["drz"]]) * hours,
-        np.eye(2) + 1e-3 * np.array([[p["gs"] + p["ga"], p["gsh"]], [p["gsh"], p["gs"] - p["ga"]]]),
-    )
+    origin = np.array([exposure.get("screen_shift_mm", 0.0) + p["sx"] + off["r_x"], off["r_y"], off["r_z"]])
+    turn = rotation(np.array([roll, 0, 0])) @ tilt @ rotation(np.array([more, 0, 0]))
+    drift = np.array([0.0, p["dry"], p["drz"]]) * hours
+    grid = np.eye(2) + 1e-3 * np.array([[p["gs"] + p["ga"], p["gsh"]], [p["gsh"], p["gs"] - p["ga"]]])
+    return Board(origin, turn, (1e-3 * p["bow_y"], 1e-3 * p["bow_z"]), drift, grid)
 
 
 @dataclass(frozen=True)
@@ -327,64 +275,64 @@ class Print:
 
     def __init__(self, marks: list[tuple[int, float, float, float]], grid: np.ndarray, size: tuple[float, float]):
         book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-        self.cells = [cv2.aruco.generateImageMarker(book, m[0], 8) > 0 for m in marks]
+        self.cells = np.array([cv2.aruco.generateImageMarker(book, int(m[0]), 8) > 0 for m in marks])
         self.marks, self.back, self.half = np.array(marks), np.linalg.inv(grid), np.array(size) / 2
 
+    def paper(self, yz: np.ndarray) -> np.ndarray:
+        """Unprinted board (...) at board points (..., 2): 1 on it, 0 off it."""
+        return (np.abs(yz[..., 0]) <= self.half[0]) * (np.abs(yz[..., 1]) <= self.half[1]) * 1.0
+
     def white(self, yz: np.ndarray) -> np.ndarray:
-        """Reflectance (...) at board points (..., 2)."""
-        paper = np.where((np.abs(yz) <= self.half).all(-1), 1.0, 0.0)
-        printed = yz @ self.back.T
-        low, high = printed.reshape(-1, 2).min(0), printed.reshape(-1, 2).max(0)
-        centre, side = self.marks[:, 1:3], self.marks[:, 3:]
-        for i in np.flatnonzero(((centre + side / 2 > low) & (centre - side / 2 < high)).all(1)):
-            cell = np.floor(((printed - centre[i]) / side[i] * [1, -1] + 0.5) * 8).astype(int)
-            on = ((cell >= 0) & (cell < 8)).all(-1)
-            black = on & ~self.cells[i][np.clip(cell[..., 1], 0, 7), np.clip(cell[..., 0], 0, 7)]
-            paper[black] = INK
-        return paper
-
-    def even(self, yz: np.ndarray) -> bool:
-        """Whether a patch of board points is plain paper or plain background."""
-        low, high = yz.reshape(-1, 2).min(0), yz.reshape(-1, 2).max(0)
-        if (low > self.half).any() or (high < -self.half).any():
-            return True
-        low, high = low @ self.back.T - 1, high @ self.back.T + 1
-        touched = (self.marks[:, 1:3] + self.marks[:, 3:] / 2 > low) & (
-            self.marks[:, 1:3] - self.marks[:, 3:] / 2 < high
-        )
-        return bool((np.abs(yz) < self.half).all()) and not touched.all(1).any()
+        """Reflectance (n, m) at the board points (n, m, 2) of n small patches, each near one mark at most."""
+        printed, places = yz @ self.back.T, self.marks[:, 1:3]
+        first = printed[:, 0]
+        far = np.maximum(*(np.abs(first[:, None, k] - places[:, k]) for k in (0, 1)))
+        mark = np.argmin(far, axis=1)[:, None]
+        side = self.marks[mark, 3]
+        column = np.floor(((printed[..., 0] - places[mark, 0]) / side + 0.5) * 8).astype(int)
+        row = np.floor((0.5 - (printed[..., 1] - places[mark, 1]) / side) * 8).astype(int)
+        on = (row >= 0) & (row < 8) & (column >= 0) & (column < 8)
+        bare = self.cells[mark, np.where(on, row, 0), np.where(on, column, 0)]
+        return self.paper(yz) * np.where(on & ~bare, INK, 1.0)
 
 
-def expose(eye: Camera, board: Board, sheet: Print, trace: Trace | None, tile: int = 32, fine: int = 4) -> np.ndarray:
-    """Room-lit and laser-lit radiance (2, rows, columns), each the mean over a pixel's area; white paper is 1."""
-    maps = eye.board_map(board)
-    light = np.zeros((2, eye.size[1], eye.size[0]))
+def expose(eye: Camera, board: Board, sheet: Print, trace: Trace, fine: int = 4) -> np.ndarray:
+    """Room-lit and laser-lit radiance (2, rows, columns), each the mean over a pixel's area; white paper is 1.
+
+    Pixels near a mark, the board's edge or the trace are sampled fine x fine, with a linear map in each: 1e-4 mm.
+    """
+    grid = [np.arange(n, dtype=float) for n in eye.size[::-1]]
+    yz = np.stack([m(*grid) for m in eye.board_map(board)], -1)
+    white = sheet.paper(yz)
+    light = np.stack([white * room(yz), 0 * white])
+    down, across = np.gradient(yz, axis=(0, 1))
+    near = np.zeros(white.shape, np.uint8)
+    step = 1 / float(np.median(np.linalg.norm(across[white > 0], axis=-1)))  # px per mm
+    frame = np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)]) * sheet.half
+    for ring in [frame, *corners(sheet.marks) @ np.linalg.inv(sheet.back).T]:
+        outline = [np.rint(eye.project(board.world(ring))).astype(np.int32)]
+        if ring is not frame:
+            cv2.fillPoly(near, outline, 1)
+        cv2.polylines(near, outline, True, 1, 7)
+    path = eye.project(board.world(trace.base(trace.phase)))
+    band = np.zeros_like(near)
+    cv2.polylines(band, [np.rint(path).astype(np.int32)], False, 1, int(2.2 * trace.edges[-1] * step))
     inner = (np.arange(fine) + 0.5) / fine - 0.5
-    for top in range(0, eye.size[1], tile):
-        for left in range(0, eye.size[0], tile):
-            v, u = np.arange(top, min(top + tile, eye.size[1])), np.arange(left, min(left + tile, eye.size[0]))
-            knots = [np.linspace(a[0] - 2, a[-1] + 2, 10) for a in (v, u)]
-            rough = np.stack([m(*knots) for m in maps], -1)
-            even, lit = sheet.even(rough), False
-            if trace is not None:
-                phase, x = trace.chart(rough.reshape(-1, 2))
-                end = trace.phase[[0, -1]]
-                lit = bool(np.any((np.abs(x) < trace.edges[-1]) & (phase > end[0]) & (phase < end[1])))
-            if even and not lit:
-                middle = np.stack([m(v, u) for m in maps], -1)
-                light[0, v[0] : v[-1] + 1, u[0] : u[-1] + 1] = sheet.white(middle) * room(middle)
-                continue
-            rows, columns = ((a[:, None] + inner).ravel() for a in (v, u))
-            yz = np.stack([m(rows, columns) for m in maps], -1)
-            white = sheet.white(yz)
-            layers = [white * room(yz), 0 * white]
-            if lit and trace is not None:
-                places = [RectBivariateSpline(*knots, a.reshape(10, 10))(rows, columns) for a in (phase, x)]
-                near = (np.abs(places[1]) < trace.edges[-1]) & (white > 0)
-                layers[1][near] = white[near] * trace.lookup(places[0][near], places[1][near])
-            for layer, whole in zip(layers, light, strict=True):
-                block = layer.reshape(len(v), fine, len(u), fine).mean((1, 3))
-                whole[v[0] : v[-1] + 1, u[0] : u[-1] + 1] = block
+    dv, du = (a.ravel()[:, None] for a in np.meshgrid(inner, inner, indexing="ij"))
+    for mask in (near & ~band, band):
+        at = np.nonzero(mask)
+        centre, right, below = yz[at], across[at], down[at]
+        spots = centre[:, None] + dv * below[:, None] + du * right[:, None]
+        paper = sheet.white(spots)
+        light[0][at] = (paper * room(spots)).mean(1)
+        if mask is band:
+            here, there, under = (
+                np.stack(trace.chart(q)) for q in (centre, centre + 0.5 * right, centre + 0.5 * below)
+            )
+            chart = (
+                here[..., None] + 2 * (there - here)[..., None] * du[:, 0] + 2 * (under - here)[..., None] * dv[:, 0]
+            )
+            light[1][at] = (paper * trace.lookup(chart[0].ravel(), chart[1].ravel()).reshape(paper.shape)).mean(1)
     return light
 
 
@@ -394,27 +342,20 @@ def room(yz: np.ndarray) -> np.ndarray:
 
 
 def spill(laser: np.ndarray, shift: float) -> np.ndarray:
-    """Laser picture after charge spilt toward +v: the centroid moves by `shift` px at the peak and as brightness squared.
+    """Laser picture after charge spilt toward +v: its centroid moves by `shift` px at the peak, as brightness squared.
 
-    Each pixel loses a share of its charge that goes as its brightness squared, laid down behind it over a uniform tail.
+    Each pixel loses a share of its charge that goes as its brightness squared, laid down after it over a uniform tail.
     """
     if not shift:
         return laser
-    peak = np.unravel_index(np.argmax(laser), laser.shape)
-    lost = SPILL_FRACTION * laser * (laser / laser[peak]) ** 2
-    column = slice(max(peak[0] - 12, 0), peak[0] + 13), peak[1]
-    reach = abs(shift) * laser[column].sum() / lost[column].sum()  # mean length of the tail
-    tail = 2 * reach - 1
-    weights = np.clip(tail + 1 - np.arange(int(np.ceil(max(tail, 0))) + 2), 0, 1)[1:] if tail > 0 else np.array([reach])
-    weights = weights / max(weights.sum(), 1.0)
-    mean = (weights * np.arange(1, len(weights) + 1)).sum()
-    lost = lost * reach / mean
-    out = laser - lost * weights.sum()
-    step = 1 if shift > 0 else -1
-    for k, w in enumerate(weights, 1):
-        moved = np.roll(lost, step * k, axis=0)
-        out += w * moved
-    return out
+    row, column = np.unravel_index(np.argmax(laser), laser.shape)
+    profiles = laser[max(row - 12, 0) : row + 13, column], laser[row, max(column - 12, 0) : column + 13]
+    share = (laser / laser[row, column]) ** 2
+    ratio = max(a.sum() / (a * (a / a.max()) ** 2).sum() for a in profiles)  # across the line
+    tail = max(int(np.ceil(2 * abs(shift) * ratio / SPILL_FRACTION)) - 1, 1)
+    lost = laser * share * abs(shift) * ratio / ((tail + 1) / 2)
+    laid = sum(np.roll(lost, int(np.sign(shift)) * k, axis=0) for k in range(1, tail + 1))
+    return np.asarray(laser - lost + laid / tail)
 
 
 def develop(light: np.ndarray, given: dict[str, Any], render: dict[str, Any], rng: np.random.Generator) -> np.ndarray:
@@ -485,9 +426,7 @@ def main() -> None:
     parser.add_argument("bench", type=Path)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument(
-        "--truth", type=Path, help="write what was drawn here, and an .npz of corners and traces beside it"
-    )
+    parser.add_argument("--truth", type=Path, help="write what was drawn here, its .npz beside it")
     parser.add_argument("--exact", type=Path, help="take what is drawn from this file instead")
     options = parser.parse_args()
     text = options.bench.read_text()

@@ -1,6 +1,6 @@
 """Light of the laser bench on its board, from first principles and apart from the product's own models (float64).
 
-A ray leaves the beam's wavefront, meets a facet of the turning polygon, crosses the air and lands on the board. For each
+A ray leaves the beam's wavefront, meets a facet of the turning polygon, crosses the air, lands on the board. For each
 phase of rotation and each place across a facet the light is spread along the facet's narrow side: by rays in geometric
 optics, by the Fresnel integral over that slice where diffraction is on. The slices sum to an irradiance tabulated in a
 chart that follows the trace. Lengths in mm, angles in rad unless a name says otherwise.
@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 
 GLASS = 1.515  # of window and plate (diagnosis.md)
 DN_DT = -0.95e-6  # 1/K, air
-KNOTS = 41  # phases tabulated along a trace: a spline through them is within 0.1 µm of one through 121
+KNOTS = 33  # phases tabulated along a trace: a spline through them is within 0.1 µm of one through 121
 HALF_WIDTH_MM = 16.0  # of the chart across the trace: 0.4 % of a diffracted line's light falls outside
 BIN_MM = 0.05  # of the chart: a third of the narrowest feature (a geometric line's edge, seen by 1 mm pixels)
 
@@ -260,7 +260,7 @@ class Trace:
         yz = scene.land(p, r)
         with np.errstate(invalid="ignore"):
             inside = (np.abs(yz) < np.array(scene.size) / 2 + 25).all(-1) & (
-                r[:, 0] * (scene.air.screen_x - p[:, 0]) > 0
+                (scene.air.screen_x - p[:, 0]) / r[:, 0] > 0
             )
         if inside.sum() < 5:
             raise ValueError("the trace misses the board: see mirror position and laser angles")
@@ -268,7 +268,7 @@ class Trace:
         self.phase = np.linspace(first - 2e-3, last + 2e-3, KNOTS)
         zero = 0 * self.phase
         p, r, *_ = scene.reflect(self.phase, zero, zero, lean)
-        base, across = scene.land(p, r), slit_direction(scene, p, r)[..., :]
+        base, across = scene.land(p, r), slit_direction(scene, p, r)
         self.base, self.across = CubicSpline(self.phase, base), CubicSpline(self.phase, across)
         self.edges = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM + BIN_MM / 2, BIN_MM)
         table = np.zeros((KNOTS, len(self.edges) - 1))
@@ -330,7 +330,7 @@ class Trace:
         seen = (np.abs(x) < HALF_WIDTH_MM - BIN_MM) & (phase > self.phase[0]) & (phase < self.phase[-1])
         return np.where(seen, np.clip(light, 0, None), 0.0)
 
-    def line(self, at: Vector, reach: float = 12.0, step: float = 0.04) -> dict[str, Vector]:
+    def line(self, at: Vector, reach: float = 12.0, step: float = 0.08) -> dict[str, Vector]:
         """Centroid (board mm), rms width (mm) and flux (per mm of trace) of profiles at right angles to the trace."""
         tangent = unit(self.base(at, 1))
         centre = self.base(at)
@@ -373,8 +373,8 @@ def _geometric(trace: Trace, mean_lean: float, front: bool) -> Vector:
     """Table of geometric optics: every ray of a slice is brought to every knot's line."""
     del mean_lean
     scene, table = trace.scene, np.zeros((KNOTS, len(trace.edges) - 1))
-    s, ws = _nodes(48, scene.mirror.half_width)
-    h = np.linspace(-1, 1, 33) * scene.mirror.half_height
+    s, ws = _nodes(32, scene.mirror.half_width)
+    h = np.linspace(-1, 1, 17) * scene.mirror.half_height
     for lean in scene.leans:
 
         def land(phase: Vector, lean: float = lean) -> Vector:
@@ -400,9 +400,9 @@ def _diffracted(trace: Trace, mean_lean: float, front: bool) -> Vector:
     """
     scene, table = trace.scene, np.zeros((KNOTS, len(trace.edges) - 1))
     mirror, board = scene.mirror, scene.board
-    s, ws = _nodes(20, mirror.half_width)
+    s, ws = _nodes(16, mirror.half_width)
     h, wh = _nodes(72, mirror.half_height)
-    q = np.arange(-HALF_WIDTH_MM - 2, HALF_WIDTH_MM + 2.01, 0.1)
+    q = np.arange(-HALF_WIDTH_MM - 2, HALF_WIDTH_MM + 2.01, 0.125)
     k = 2 * np.pi / scene.wavelength
     shapes = None
     for lean in sorted(scene.leans, key=lambda one: abs(one - mean_lean)):
