@@ -257,11 +257,10 @@ class Trace:
         lean = float(np.mean(scene.leans))
         coarse = np.linspace(-0.5, 0.5, 1001)
         p, r, *_ = scene.reflect(coarse, 0 * coarse, 0 * coarse, lean)
-        yz = scene.land(p, r)
-        with np.errstate(invalid="ignore"):
-            inside = (np.abs(yz) < np.array(scene.size) / 2 + 25).all(-1) & (
-                (scene.air.screen_x - p[:, 0]) / r[:, 0] > 0
-            )
+        coming = (scene.air.screen_x - p[:, 0]) / r[:, 0] > 0
+        coming &= np.abs(r[:, 0]) > 0.05  # grazing light never lands on a board of this size
+        coarse, p, r = coarse[coming], p[coming], r[coming]
+        inside = (np.abs(scene.land(p, r)) < np.array(scene.size) / 2 + 25).all(-1)
         if inside.sum() < 5:
             raise ValueError("the trace misses the board: see mirror position and laser angles")
         first, last = coarse[inside][[0, -1]]
@@ -330,7 +329,7 @@ class Trace:
         seen = (np.abs(x) < HALF_WIDTH_MM - BIN_MM) & (phase > self.phase[0]) & (phase < self.phase[-1])
         return np.where(seen, np.clip(light, 0, None), 0.0)
 
-    def line(self, at: Vector, reach: float = 12.0, step: float = 0.08) -> dict[str, Vector]:
+    def line(self, at: Vector, reach: float = 12.0, step: float = 0.04) -> dict[str, Vector]:
         """Centroid (board mm), rms width (mm) and flux (per mm of trace) of profiles at right angles to the trace."""
         tangent = unit(self.base(at, 1))
         centre = self.base(at)
@@ -361,12 +360,16 @@ def _nodes(count: int, half: float) -> tuple[Vector, Vector]:
     return half * x, half * w
 
 
-def _fill(trace: Trace, knot: int, x: Vector, power: Vector, row: Vector) -> None:
+def _fill(trace: Trace, knot: int, x: Vector, power: Vector, table: Vector) -> None:
     """Add power per x, given at ascending or descending x, to one row of the table without loss."""
     if x[0] > x[-1]:
         x, power = x[::-1], power[::-1]
     sums = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(x))])
-    row[knot] += np.diff(np.interp(trace.edges, x, sums)) / BIN_MM
+    edges = np.clip(trace.edges, x[0], x[-1])
+    j = np.clip(np.searchsorted(x, edges) - 1, 0, len(x) - 2)
+    step = edges - x[j]
+    rise = (power[j + 1] - power[j]) / (x[j + 1] - x[j])
+    table[knot] += np.diff(sums[j] + step * (power[j] + 0.5 * step * rise)) / BIN_MM
 
 
 def _geometric(trace: Trace, mean_lean: float, front: bool) -> Vector:
@@ -402,7 +405,7 @@ def _diffracted(trace: Trace, mean_lean: float, front: bool) -> Vector:
     mirror, board = scene.mirror, scene.board
     s, ws = _nodes(16, mirror.half_width)
     h, wh = _nodes(72, mirror.half_height)
-    q = np.arange(-HALF_WIDTH_MM - 2, HALF_WIDTH_MM + 2.01, 0.125)
+    q = np.arange(-HALF_WIDTH_MM - 2, HALF_WIDTH_MM + 2.01, 0.1)
     k = 2 * np.pi / scene.wavelength
     shapes = None
     for lean in sorted(scene.leans, key=lambda one: abs(one - mean_lean)):
