@@ -52,7 +52,7 @@ RENDER = {
     "read_noise_e": 6.0,
     "blur_px": 0.7,
     "speckle_px": 0.0,
-    "speckle_contrast": 0.04,
+    "speckle_contrast": 0.05,
     "noise": True,
     "ghost": True,
     "pose_mm": 1.5,
@@ -79,9 +79,8 @@ def parameters(bench: dict[str, Any], rng: np.random.Generator) -> dict[str, flo
         known["win"] = 4.0
     count = int(bench.get("mirror", {}).get("facets", 12))
     if known["tilt_rms"]:
-        tilts = rng.standard_normal(count)
+        tilts = known["tilt_rms"] * rng.standard_normal(count)
         tilts -= tilts.mean()
-        tilts *= known["tilt_rms"] * rng.chisquare(count - 1) ** 0.5 / np.sqrt(count - 1) / tilts.std(ddof=1)
         known |= {f"tilt_{k}": float(t) for k, t in enumerate(tilts)}
     return known
 

@@ -181,7 +181,8 @@ class Board:
 
     def height(self, yz: Vector) -> Vector:
         """Rise (...) of the board along its normal."""
-        return 0.5 * (self.bow[0] * yz[..., 0] ** 2 + self.bow[1] * yz[..., 1] ** 2)
+        near = np.clip(yz, -1000, 1000)  # off every board: grazing rays must not run away
+        return 0.5 * (self.bow[0] * near[..., 0] ** 2 + self.bow[1] * near[..., 1] ** 2)
 
     def meet(self, p: Vector, r: Vector) -> Vector:
         """Board coordinates (..., 2) where rays land; no drift."""
