@@ -9,7 +9,7 @@ Gaussian of the same height, range/√(2π) wide.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from benchsim.diagnosis import evidence, settings
 from benchsim.diagnosis.hypothesis import Context, Effects, Fit, Hypothesis, Point, Solved, span, values
 from benchsim.diagnosis.least_squares import Points, Solution, Task, minimise
 from benchsim.diagnosis.linear import Linear, posterior
-from benchsim.diagnosis.problem import Parameter
 
 Array = NDArray[np.float64]
 
@@ -34,6 +33,10 @@ the least tilt puts a window into the light, promise what comes after the jump."
 
 STEPS, SCOUTED = 40, 15
 """Most steps of a fit, and of one without exact derivatives, which is to show whether its hypothesis matters."""
+
+HEAT = 3
+"""Steps after which the most probable of the starts that race goes on alone: fewer tell no better start from a worse
+one, more are taken by fits that are given up."""
 
 RENEWALS = 8
 """Most exact Jacobians of a fit that matters."""
@@ -51,13 +54,26 @@ WIDTH = 0.1
 
 @dataclass(frozen=True)
 class Start:
-    """Where a fit begins, and whitened derivatives of the prediction by the nuisances (n, p) from nearby."""
+    """Where a fit begins.
+
+    Attributes
+    ----------
+    nuisance : (n, p)
+        Whitened derivatives of the prediction by the nuisances, from nearby.
+    scale : int
+        Setting scale, by its place on the grid.
+    own : mapping of str to (n,) array
+        The same by the amplitudes and shapes of which they are known; the others' are made.
+    race : int, optional
+        Starts of a hypothesis with the same number race; default for itself.
+    """
 
     hypothesis: Hypothesis
     point: Point
     nuisance: Array
     scale: int = 0
-    """Setting scale, by its place on the grid."""
+    own: Mapping[str, Array] = field(default_factory=dict)
+    race: int | None = None
 
 
 def excess(white: Array) -> float:
@@ -77,9 +93,14 @@ def _still(white: Array) -> float:
 
 
 def fitted(
-    context: Context, starts: Sequence[Start], log_prior: Mapping[Effects, float], *, renewals: int
+    context: Context,
+    starts: Sequence[Start],
+    log_prior: Mapping[Effects, float],
+    *,
+    renewals: int,
+    floor: float = -np.inf,
 ) -> list[Solved]:
-    """Follow every start to its end.
+    """Follow every start to its end, or of those that race the one that is ahead after a few steps.
 
     Parameters
     ----------
@@ -90,41 +111,63 @@ def fitted(
     renewals : int
         Most exact Jacobians of each; with 0 fits rest on derivatives that followed their steps, which is enough to see
         which matter.
+    floor : float
+        ln Z that a start that won its race has to promise by then to be followed further.
 
     Returns
     -------
     list of Solved
-        One for each start.
+        One for each start or race.
     """
     if not starts:
         return []
-    own = _own_columns(context, starts)
-    ends: list[Solution | None] = [None] * len(starts)
-    hypers = [(s.scale, _first_term(s.hypothesis)) for s in starts]
-    jacobians = [-np.column_stack([s.nuisance, context.whiten(j)]) for s, j in zip(starts, own, strict=True)]
-    thetas = [theta_of(s.point) for s in starts]
-    weighed: list[Array] = [np.zeros((0, 0))] * len(starts)
-    moved = list(range(len(starts)))
-    for _ in range(1 + AGAIN):
-        tasks = [_task(context, starts[i].hypothesis, hypers[i], thetas[i], jacobians[i]) for i in moved]
-        found = _minimise(context, [starts[i].hypothesis for i in moved], tasks, renewals)
-        again = []
-        for i, end in zip(moved, found, strict=True):
-            ends[i] = end
-            cells = weighed[i] = _cells(context, starts[i].hypothesis, end)
-            now = _choose(cells)
-            # Between two neighbours on the grid that are as probable the choice could swing for ever.
-            if now != hypers[i] and np.isfinite(end.cost) and cells[now] > cells[hypers[i]] + STILL:
-                hypers[i], thetas[i], jacobians[i] = now, end.theta, end.jacobian
-                again.append(i)
-        moved = again
-        if not moved:
-            break
-    return [
-        _solved(context, s.hypothesis, end, hyper, cells, log_prior[s.hypothesis.names])
-        for s, end, hyper, cells in zip(starts, ends, hypers, weighed, strict=True)
-        if end is not None
+    runs = [
+        _Run(s, (s.scale, _first_term(s.hypothesis)), theta_of(s.point), -np.column_stack([s.nuisance, own]))
+        for s, own in zip(starts, _own_columns(context, starts), strict=True)
     ]
+    racing = [r for r in runs if r.start.race is not None]
+    _advance(context, racing, 0, HEAT)
+    ahead: dict[tuple[Effects, int | None], _Run] = {}
+    for r in sorted(racing, key=lambda r: logsumexp(r.cells)):
+        ahead[r.start.hypothesis.names, r.start.race] = r
+    runs = [r for r in runs if r.start.race is None or r is ahead[r.start.hypothesis.names, r.start.race]]
+    moved = [r for r in runs if r.end is None or ((r.moved or not r.end.converged) and _hope(r, log_prior) > floor)]
+    for _ in range(1 + AGAIN):
+        _advance(context, moved, renewals, STEPS if renewals else SCOUTED)
+        moved = [r for r in moved if r.moved]
+    return [_solved(context, r, log_prior[r.start.hypothesis.names]) for r in runs]
+
+
+@dataclass
+class _Run:
+    """A fit on its way: the hyper-parameters (setting scale, term) that it stands at, and what it came to."""
+
+    start: Start
+    hyper: tuple[int, int]
+    theta: Array
+    jacobian: Array
+    end: Solution | None = None
+    cells: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    moved: bool = False
+
+
+def _hope(run: _Run, log_prior: Mapping[Effects, float]) -> float:
+    """ln Z where a fit is, and what its derivatives promise of it."""
+    assert run.end is not None
+    return float(logsumexp(run.cells)) + log_prior[run.start.hypothesis.names] + run.end.promise
+
+
+def _advance(context: Context, runs: Sequence[_Run], renewals: int, steps: int) -> None:
+    """Some steps of each, and the hyper-parameters that are most probable where they lead."""
+    tasks = [_task(context, r.start.hypothesis, r.hyper, r.theta, r.jacobian) for r in runs]
+    found = _minimise(context, [r.start.hypothesis for r in runs], tasks, renewals, steps)
+    for r, end in zip(runs, found, strict=True):
+        r.end, r.theta, r.jacobian = end, end.theta, end.jacobian
+        r.cells = _cells(context, r.start.hypothesis, end)
+        now = _choose(r.cells)
+        # Between two neighbours on the grid that are as probable the choice could swing for ever.
+        r.moved = now != r.hyper and bool(np.isfinite(end.cost) and r.cells[now] > r.cells[r.hyper] + STILL)
+        r.hyper = now if r.moved else r.hyper
 
 
 def as_it_stands(context: Context, h: Hypothesis, point: Point, nuisance: Array) -> Solved:
@@ -134,7 +177,8 @@ def as_it_stands(context: Context, h: Hypothesis, point: Point, nuisance: Array)
     residual = context.whiten(context.problem.data - prediction)
     jacobian = -context.whiten(np.column_stack([nuisance, own]))
     end = Solution(theta_of(point), residual, jacobian, float(0.5 * residual @ residual), np.inf, False, True)
-    return _solved(context, h, end, (0, _first_term(h)), _cells(context, h, end), 0.0)
+    as_is = _Run(Start(h, point, nuisance), (0, _first_term(h)), end.theta, jacobian, end, _cells(context, h, end))
+    return _solved(context, as_is, 0.0)
 
 
 def theta_of(point: Point) -> Array:
@@ -147,16 +191,21 @@ def point_of(context: Context, h: Hypothesis, theta: Array) -> Point:
 
 
 def _own_columns(context: Context, starts: Sequence[Start]) -> list[Array]:
-    """Derivatives by amplitudes and shapes at the starts."""
-    asked: list[tuple[Mapping[str, float], tuple[Parameter, ...]]] = [
-        (values(context.problem, s.hypothesis, s.point), (*s.hypothesis.amplitudes, *s.hypothesis.shapes))
-        for s in starts
-    ]
-    return context.columns(asked)
+    """Whitened derivatives by amplitudes and shapes at the starts."""
+    parameters = [(*s.hypothesis.amplitudes, *s.hypothesis.shapes) for s in starts]
+    lacking = [tuple(q for q in own if q.name not in s.own) for s, own in zip(starts, parameters, strict=True)]
+    at = [values(context.problem, s.hypothesis, s.point) for s in starts]
+    found = iter(context.columns([(v, some) for v, some in zip(at, lacking, strict=True) if some]))
+    out = []
+    for s, own, some in zip(starts, parameters, lacking, strict=True):
+        made = dict(zip((q.name for q in some), context.whiten(next(found)).T, strict=True)) if some else {}
+        columns = [made[q.name] if q.name in made else s.own[q.name] for q in own]
+        out.append(np.column_stack(columns) if columns else np.zeros((len(s.nuisance), 0)))
+    return out
 
 
 def _minimise(
-    context: Context, hypotheses: Sequence[Hypothesis], tasks: Sequence[Task], renewals: int
+    context: Context, hypotheses: Sequence[Hypothesis], tasks: Sequence[Task], renewals: int, steps: int
 ) -> list[Solution]:
     problem = context.problem
     sigma = np.array([n.sigma for n in problem.nuisances])
@@ -173,7 +222,6 @@ def _minimise(
         found = context.columns(list(zip(at(points), own, strict=True)))
         return [-context.whiten(np.column_stack([j[:, : len(sigma)] * sigma, j[:, len(sigma) :]])) for j in found]
 
-    steps = STEPS if renewals else SCOUTED
     return minimise(residuals, jacobians, tasks, still=_still, steps=steps, renewals=renewals)
 
 
@@ -237,10 +285,15 @@ def _choose(cells: Array) -> tuple[int, int]:
     return scale, int(np.argmax(cells[scale]))
 
 
-def _solved(
-    context: Context, h: Hypothesis, end: Solution, hyper: tuple[int, int], cells: Array, log_prior: float
-) -> Solved:
-    problem, p = context.problem, len(context.problem.nuisances)
+def _solved(context: Context, run: _Run, log_prior: float) -> Solved:
+    problem, p, h, end, cells = (
+        context.problem,
+        len(context.problem.nuisances),
+        run.start.hypothesis,
+        run.end,
+        run.cells,
+    )
+    assert end is not None
     point = point_of(context, h, end.theta)
     lin = about(context, h, end)
     columns = -end.jacobian[:, p:]
@@ -269,7 +322,7 @@ def _solved(
         at,
         sigma,
         own_covariance,
-        float(context.scales[hyper[0]]),
+        float(context.scales[run.hyper[0]]),
         float(end.residual @ end.residual),
         end.converged or (end.exact and (end.promise < OWED or not h.names)),
         lin,

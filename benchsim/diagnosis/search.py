@@ -213,7 +213,9 @@ def _fit(s: Search, sets: Sequence[Effects]) -> None:
     """Fit sets from all their starts, some sets together, by derivatives that follow their steps."""
     for some in (sets[i : i + TOGETHER] for i in range(0, len(sets), TOGETHER)):
         starts = [start for effects in some for start in _starts(s, effects)]
-        _keep(s, fitted(s.context, starts, {e: s.prior(e) for e in some}, renewals=0))
+        # Single effects are followed whatever they promise: larger sets begin at them.
+        floor = -np.inf if any(len(e) == 1 for e in some) else s.best().fit.log_evidence - MATTERS
+        _keep(s, fitted(s.context, starts, {e: s.prior(e) for e in some}, renewals=0, floor=floor))
 
 
 def _keep(s: Search, ends: Sequence[Solved]) -> None:
@@ -240,9 +242,15 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
         return [Start(h, begun.point, s.context.whiten(begun.nuisance), begun.scale)]
     out: list[Start] = []
     p = len(s.context.problem.nuisances)
+
+    def begin(nuisance: Array, places: Mapping[str, Place], about: Solved, own: Mapping[str, Array]) -> None:
+        # Settings as stated lead elsewhere than those of a fit, and look worse at first: the two do not race.
+        race = int(about is s.stated)
+        out.append(Start(h, _point(s, h, nuisance, places), about.columns[:, :p], _scale(s, about), own, race))
+
     if sum(s.catalogue.effects[e].whole for e in effects) > 1:
         ones = {e: Place(0.0, np.ones(len(evidence.amplitudes(s.catalogue.effects[e]))), np.zeros(0)) for e in effects}
-        out.append(Start(h, _point(s, h, np.zeros(p), ones), s.stated.columns[:, :p]))
+        begin(np.zeros(p), ones, s.stated, {})
     parents = [tuple(n for n in effects if n != new) for new in effects]
     parents = sorted((e for e in parents if e in s.done), key=lambda e: -s.done[e].fit.log_evidence)[:2]
     sources = [s.done[e] for e in parents]
@@ -251,21 +259,43 @@ def _starts(s: Search, effects: Effects) -> list[Start]:
     for parent in sources:
         (new,) = (n for n in effects if n not in parent.fit.effects)
         kept = {e: _of(s, parent, e) for e in parent.fit.effects}
+        own = _columns(s, parent) | _straight(s, new)
         many = _places(s, parent, [new])[new][:VALLEYS]
         if (new,) in s.done and len(effects) > 1:
             many = [*many, _of(s, s.done[(new,)], new)]
         for place in many:
-            point = _point(s, h, parent.point.nuisance, {**kept, new: place})
-            out.append(Start(h, point, parent.columns[:, :p], _scale(s, parent)))
+            begin(parent.point.nuisance, {**kept, new: place}, parent, own)
         if parent is s.stated or (len(effects) > 1 and strayed(s.context, parent)):
             for place in _either(s, h, kept, new) if new in s.bending else _anew(s, parent, new) if kept else []:
-                out.append(Start(h, _point(s, h, np.zeros(p), {**kept, new: place}), s.stated.columns[:, :p]))
+                begin(np.zeros(p), {**kept, new: place}, s.stated, own)
     for above in (x for x in s.done.values() if len(x.fit.effects) == len(effects) + 1 and not misses(x)):
         if set(effects) < set(above.fit.effects):
-            point = _point(s, h, above.point.nuisance, {e: _of(s, above, e) for e in effects})
-            out.append(Start(h, point, above.columns[:, :p], _scale(s, above)))
+            start = Start(
+                h,
+                _point(s, h, above.point.nuisance, {e: _of(s, above, e) for e in effects}),
+                above.columns[:, :p],
+                _scale(s, above),
+                _columns(s, above),
+            )
+            out.append(start)
             break
     return out
+
+
+def _columns(s: Search, solved: Solved) -> dict[str, Array]:
+    """A fit's whitened derivatives by what its effects have."""
+    h = s.hypothesis(solved.fit.effects)
+    own = solved.columns[:, len(s.context.problem.nuisances) :]
+    return {q.name: own[:, i] for i, q in enumerate((*h.amplitudes, *h.shapes))}
+
+
+def _straight(s: Search, name: str) -> dict[str, Array]:
+    """The catalogue's derivatives by an effect's amplitudes, where they are about the same at any size and place."""
+    effect = s.catalogue.effects[name]
+    if name in s.bending or evidence.shapes(effect):
+        return {}
+    at = s.catalogue.nodes[name][0].columns
+    return {a.name: s.white[:, c] for a, c in zip(evidence.amplitudes(effect), at, strict=True)}
 
 
 def _either(s: Search, h: Hypothesis, kept: Mapping[str, Place], name: str) -> list[Place]:
@@ -405,7 +435,7 @@ def _settle(s: Search) -> None:
 def _exactly(s: Search, sets: Sequence[Effects]) -> None:
     """Follow fits from where they ended with exact derivatives."""
     p, some = len(s.context.problem.nuisances), [s.done[e] for e in sets]
-    starts = [Start(s.hypothesis(x.fit.effects), x.point, x.columns[:, :p], _scale(s, x)) for x in some]
+    starts = [Start(s.hypothesis(x.fit.effects), x.point, x.columns[:, :p], _scale(s, x), _columns(s, x)) for x in some]
     _keep(s, fitted(s.context, starts, {e: s.prior(e) for e in sets}, renewals=RENEWALS))
 
 
