@@ -1,0 +1,229 @@
+"""Where the fit of a set of effects begins.
+
+A fit ends in the valley that it starts in. So every set is fitted from several starts: from a fit with one effect less,
+with that effect's amplitude wherever the linearisation about that fit, bent by the amplitude's own second derivative,
+has a minimum; from the effect's own single fit; and from the stated settings, since those of a smaller fit may have
+been bent to hide what it lacks. Those that begin at the same settings race (`fitting.fitted`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from benchsim.diagnosis import evidence, linear
+from benchsim.diagnosis.discrepancy import absorb
+from benchsim.diagnosis.explored import Search, columns_of, scale_of, strayed
+from benchsim.diagnosis.fitting import Start, as_it_stands, misses
+from benchsim.diagnosis.hypothesis import Effects, Hypothesis, Point, Solved, values
+from benchsim.diagnosis.problem import Effect
+
+Array = NDArray[np.float64]
+
+VALLEYS = 3
+"""Minima of an amplitude's own curve, or best places of an effect that has a place, from which a fit begins."""
+
+SIZES = (0.25, 0.5, 1.0, 2.0)
+"""Prior sigmas to either side at which what bends the data is tried."""
+
+AMPLITUDES = np.concatenate([-np.geomspace(2.5, 0.02, 12), [0.0], np.geomspace(0.02, 2.5, 12)])
+"""Prior sigmas at which that curve is looked at, before `POLISHED` steps to each of its minima."""
+
+POLISHED = 6
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an effect might begin beside a fit: its amplitudes and shapes, and the gain in ln Z foretold."""
+
+    gain: float
+    amplitude: Array
+    shape: Array
+
+
+def starts(s: Search, effects: Effects) -> list[Start]:
+    """Where the fit of a set begins."""
+    h = s.hypothesis(effects)
+    if effects in s.earlier:
+        begun = s.earlier[effects]
+        return [Start(h, begun.point, s.context.whiten(begun.nuisance), begun.scale)]
+    out: list[Start] = []
+    p = len(s.context.problem.nuisances)
+
+    def begin(nuisance: Array, places: Mapping[str, Place], about: Solved, own: Mapping[str, Array]) -> None:
+        # Settings as stated lead elsewhere than those of a fit, and look worse at first: the two do not race.
+        race = int(about is s.stated)
+        out.append(Start(h, _point(s, h, nuisance, places), about.columns[:, :p], scale_of(s, about), own, race))
+
+    if sum(s.catalogue.effects[e].whole for e in effects) > 1:
+        ones = {e: Place(0.0, np.ones(len(evidence.amplitudes(s.catalogue.effects[e]))), np.zeros(0)) for e in effects}
+        begin(np.zeros(p), ones, s.stated, {})
+    parents = [tuple(n for n in effects if n != new) for new in effects]
+    parents = sorted((e for e in parents if e in s.done), key=lambda e: -s.done[e].fit.log_evidence)[:2]
+    sources = [s.done[e] for e in parents]
+    if len(effects) == 1 and strayed(s.context, s.done[()]):
+        sources.append(s.stated)
+    for parent in sources:
+        (new,) = (n for n in effects if n not in parent.fit.effects)
+        kept = {e: _of(s, parent, e) for e in parent.fit.effects}
+        own = columns_of(s, parent) | _straight(s, new)
+        many = places(s, parent, [new])[new][:VALLEYS]
+        if (new,) in s.done and len(effects) > 1:
+            many = [*many, _of(s, s.done[(new,)], new)]
+        for place in many:
+            begin(parent.point.nuisance, {**kept, new: place}, parent, own)
+        if parent is s.stated or (len(effects) > 1 and strayed(s.context, parent)):
+            for place in _either(s, h, kept, new) if new in s.bending else _anew(s, parent, new) if kept else []:
+                begin(np.zeros(p), {**kept, new: place}, s.stated, own)
+    for above in (x for x in s.done.values() if len(x.fit.effects) == len(effects) + 1 and not misses(x)):
+        if set(effects) < set(above.fit.effects):
+            start = Start(
+                h,
+                _point(s, h, above.point.nuisance, {e: _of(s, above, e) for e in effects}),
+                above.columns[:, :p],
+                scale_of(s, above),
+                columns_of(s, above),
+            )
+            out.append(start)
+            break
+    return out
+
+
+def _straight(s: Search, name: str) -> dict[str, Array]:
+    """The catalogue's derivatives by an effect's amplitudes, where they are about the same at any size and place."""
+    effect = s.catalogue.effects[name]
+    if name in s.bending or evidence.shapes(effect):
+        return {}
+    at = s.catalogue.nodes[name][0].columns
+    return {a.name: s.white[:, c] for a, c in zip(evidence.amplitudes(effect), at, strict=True)}
+
+
+def _either(s: Search, h: Hypothesis, kept: Mapping[str, Place], name: str) -> list[Place]:
+    """Amplitudes of either sign from which a fit of what acts by its square begins at the stated settings.
+
+    Those whose predictions beside what is kept, settings integrated to first order, leave least: a small coma leads to
+    none of 2 sigma.
+    """
+    own = evidence.amplitudes(s.catalogue.effects[name])
+    sides = [(1.0,) if evidence.kind(a) else (-1.0, 1.0) for a in own]
+    unit = np.array([a.sigma**a.power for a in own])
+    many = [Place(0.0, size * np.array(signs) * unit, np.zeros(0)) for size in SIZES for signs in product(*sides)]
+    p = np.zeros(len(s.context.problem.nuisances))
+    asked = [values(s.context.problem, h, _point(s, h, p, {**kept, name: place})) for place in many]
+    left = s.context.whiten(s.context.problem.data[:, None] - np.column_stack(s.context.predict(asked)))
+    chi2 = np.diag(linear.marginal(s.stated.fit.linear, left, s.done[()].fit.setting_scale).gram)
+    return [many[i] for i in np.argsort(chi2) if np.isfinite(chi2[i])][:VALLEYS]
+
+
+def _anew(s: Search, parent: Solved, name: str) -> list[Place]:
+    """Where an effect might begin beside the effects of a fit, but at the stated settings."""
+    point = replace(parent.point, nuisance=np.zeros_like(parent.point.nuisance))
+    nuisance = linear.raised(s.context.lower, s.stated.columns[:, : len(point.nuisance)])
+    about = as_it_stands(s.context, s.hypothesis(parent.fit.effects), point, nuisance)
+    return places(s, about, [name])[name][:VALLEYS]
+
+
+def _of(s: Search, solved: Solved, name: str) -> Place:
+    """One effect as a fit has it."""
+    h = s.hypothesis(solved.fit.effects)
+    number = {a.name: i for i, a in enumerate(h.amplitudes)}, {a.name: i for i, a in enumerate(h.shapes)}
+    effect = s.catalogue.effects[name]
+    amplitude = [solved.point.amplitude[number[0][a.name]] for a in evidence.amplitudes(effect)]
+    shape = [solved.point.shape[number[1][a.name]] for a in evidence.shapes(effect)]
+    return Place(0.0, np.array(amplitude), np.array(shape))
+
+
+def _point(s: Search, h: Hypothesis, nuisance: Array, places: Mapping[str, Place]) -> Point:
+    parts = [places[e.name] for e in h.effects]
+    amplitude = np.concatenate([p.amplitude for p in parts]) if parts else np.zeros(0)
+    return Point(nuisance, amplitude, np.concatenate([p.shape for p in parts]) if parts else np.zeros(0))
+
+
+def places(s: Search, about: Solved, names: Sequence[str]) -> dict[str, list[Place]]:
+    """Where effects might begin beside a fit, most promising first.
+
+    The residual that amplitudes q leave is r − J q − ½ B q², nuisances and the fit's own amplitudes integrated to first
+    order: a polynomial, whose minima are found on a grid. A width answers to either sign of a defocus alike, so that at
+    q = 0 it has no slope at all.
+    """
+    if not names:
+        return {}
+    lin, out = absorb(s.context.problem, about.fit.linear), {}
+    at = np.array([c for n in names for node in s.catalogue.nodes[n] for c in node.columns])
+    m = linear.marginal(lin, np.column_stack([s.white[:, at], s.bends[:, at]]), about.fit.setting_scale)
+    first = 0
+    for name in names:
+        effect, found = s.catalogue.effects[name], []
+        shapes = evidence.shapes(effect)
+        for node in s.catalogue.nodes[name]:
+            own = np.arange(first, first + len(node.columns))
+            pair, first = np.concatenate([own, len(at) + own]), first + len(own)
+            many = valleys(effect, m.gram[np.ix_(pair, pair)], m.projection[pair])
+            shape = np.array([node.shape[p.name] for p in shapes])
+            found.append([Place(gain + node.log_weight, q, shape) for gain, q in many])
+        if shapes:
+            # Of a grid of places those that are better than all about them with the same sign: beside a place the
+            # other sign imitates what is there, and no fit leads from one to the other.
+            grid = [len(p.grid) for p in shapes]
+            gain, sign = (
+                np.reshape(x, grid) for x in zip(*((m[0].gain, np.sign(m[0].amplitude[0])) for m in found), strict=True)
+            )
+            of = [np.where(sign == one, gain, -np.inf) for one in (-1, 1)]
+            best = sum((g == maximum_filter(g, 3, mode="nearest")) & np.isfinite(g) for g in of)
+            found = [[found[i][0] for i in np.flatnonzero(best)]]
+        out[name] = sorted(found[0], key=lambda x: -x.gain)
+    return out
+
+
+def valleys(effect: Effect, gram: Array, projection: Array) -> list[tuple[float, Array]]:
+    """Gain and amplitudes (fit space) of an effect's minima beside a fit."""
+    own = evidence.amplitudes(effect)
+    k = len(own)
+    if effect.whole:
+        return [(0.0, np.asarray(np.ones(k)))]
+    sigma, power = np.array([a.sigma for a in own]), np.array([a.power for a in own])
+    unit = sigma**power
+    if k > 2:
+        q = np.linalg.solve(gram[:k, :k] + np.diag(unit**-2.0), projection[:k])
+        q = np.array([max(x, 0.1 * u) if evidence.kind(a) else x for x, a, u in zip(q, own, unit, strict=True)])
+        return [(float(0.5 * projection[:k] @ q), np.asarray(q, float))]
+    axes = [AMPLITUDES[AMPLITUDES >= 0] if evidence.kind(a) else AMPLITUDES for a in own]
+    low = np.array([0.0 if evidence.kind(a) else -np.inf for a in own])
+
+    def answer(value: Array) -> Array:
+        q = (value * sigma) ** power
+        return np.concatenate([q, 0.5 * q**2], axis=-1)
+
+    def cost(value: Array) -> Array:
+        w = answer(value)
+        return np.asarray(0.5 * np.einsum("...i,ij,...j", w, gram, w) - w @ projection + 0.5 * (value**2).sum(axis=-1))
+
+    def slopes(value: Array) -> Array:
+        rise: Array = np.vstack([np.eye(k), np.diag((value * sigma) ** power)])
+        return np.asarray(rise * (unit * np.where(power == 2, 2 * value, 1.0)))
+
+    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    height = cost(mesh)
+    out: list[tuple[float, Array]] = []
+    for i in np.argwhere(height == minimum_filter(height, 3, mode="nearest")):
+        value = mesh[tuple(i)]
+        for _ in range(POLISHED):
+            slope = slopes(value)
+            force = slope.T @ (projection - gram @ answer(value)) - value
+            step = np.linalg.solve(slope.T @ gram @ slope + np.eye(k), force)
+            tried = [np.maximum(value + part * step, low) for part in (1.0, 0.3, 0.1)]
+            best = min(tried, key=lambda v: float(cost(v)))
+            if not cost(best) < cost(value):
+                break
+            value = best
+        slope = slopes(value)
+        gain = -float(cost(value)) - 0.5 * float(np.linalg.slogdet(slope.T @ gram @ slope + np.eye(k))[1])
+        # One-sided effects begin off their boundary, where a derivative may be of the other side.
+        start = np.where(low == 0, np.maximum(value, 0.1), value) * sigma
+        out.append((gain, start**power))
+    return sorted(out, key=lambda x: -x[0])
