@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.ndimage import gaussian_filter1d
 
 KNOTS = 33  # phases tabulated along a trace: a spline through them is within 0.1 µm of one through 121
-HALF_WIDTH_MM = 16.0  # of the chart across the trace: 0.4 % of a diffracted line's light falls outside
+HALF_WIDTH_MM = 16.0  # of the chart across a facet's trace: 0.4 % of a diffracted line's light falls outside
 BIN_MM = 0.05  # of the chart: a third of the narrowest feature (a geometric line's edge, seen by 1 mm pixels)
 
 
@@ -40,7 +40,11 @@ class Trace:
         p, r, *_ = scene.reflect(self.phase, zero, zero, lean)
         base, across = scene.land(p, r), slit_direction(scene, p, r)
         self.base, self.across = CubicSpline(self.phase, base), CubicSpline(self.phase, across)
-        self.edges = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM + BIN_MM / 2, BIN_MM)
+        leaning = [scene.reflect(self.phase, zero, zero, one)[:2] for one in (min(scene.leans), max(scene.leans))]
+        along = self.base(self.phase, 1)
+        apart = [np.abs(cross2(scene.land(*ray) - base, along) / cross2(across, along)).max() for ray in leaning]
+        half = HALF_WIDTH_MM + BIN_MM * np.ceil(max(apart) / BIN_MM)
+        self.edges = np.arange(-half, half + BIN_MM / 2, BIN_MM)
         table = np.zeros((KNOTS, len(self.edges) - 1))
         add = _diffracted if scene.diffraction else _geometric
         for front in (False, True) if scene.mirror.glass and ghost else (False,):
@@ -97,7 +101,7 @@ class Trace:
     def lookup(self, phase: Vector, x: Vector) -> Vector:
         """Irradiance (n,) at chart coordinates (n,)."""
         light = self._spline.ev(phase, x)
-        seen = (np.abs(x) < HALF_WIDTH_MM - BIN_MM) & (phase > self.phase[0]) & (phase < self.phase[-1])
+        seen = (np.abs(x) < self.edges[-1] - BIN_MM) & (phase > self.phase[0]) & (phase < self.phase[-1])
         return np.where(seen, np.clip(light, 0, None), 0.0)
 
     def line(self, at: Vector, reach: float = 12.0, step: float = 0.04) -> dict[str, Vector]:
@@ -216,7 +220,7 @@ def _slices(
     lit: what `Scene.reflect` gives at the slices' nodes (s, h), of weights wh; the slices' centres leave p0 and land
     at world, where foot is one mm of q.
     """
-    out, _, power, _, path = lit
+    out, _, power, path = lit
     k = 2 * np.pi / scene.wavelength
     target = world[:, None] + q[:, None] * foot[:, None]  # (s, q, 3)
     length = np.linalg.norm(world - p0, axis=-1)

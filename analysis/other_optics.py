@@ -211,13 +211,12 @@ class Scene:
     size: tuple[float, float]
 
     def reflect(self, phase: Vector, s: Vector, h: Vector, lean: float, front: bool = False) -> tuple[Vector, ...]:
-        """Exit point, direction, power per (s, h) area, entrance point and optical path there of reflected light."""
+        """Exit point, direction, power per (s, h) area and optical path to the exit point of reflected light."""
         point, normal = self.mirror.facet(phase, s, h, lean)
         going, density, path = self.beam.at(point)
         cosine = -dot(going, normal)
         out = going + 2 * cosine * normal
         power = density * np.clip(cosine[..., 0], 0, None)
-        exit_point = point
         if self.mirror.glass:
             mirrored = fresnel(np.clip(cosine[..., 0], 1e-6, 1))
             if front:
@@ -225,8 +224,10 @@ class Scene:
             else:
                 power = power * (1 - mirrored) ** 2
                 inner = (going + cosine * normal) / GLASS
-                exit_point = point + 2 * self.mirror.glass * inner / np.sqrt(1 - dot(inner, inner))
-        return exit_point, out, power, point, path
+                depth = np.sqrt(1 - dot(inner, inner))
+                point = point + 2 * self.mirror.glass * inner / depth
+                path = path + 2 * self.mirror.glass * GLASS / depth[..., 0]
+        return point, out, power, path
 
     def land(self, p: Vector, r: Vector) -> Vector:
         """Board coordinates (..., 2) of light leaving the mirror, drift included."""
