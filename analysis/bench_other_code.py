@@ -219,8 +219,12 @@ def picture(
 
 
 def conceal(text: str) -> str:
-    """The recording's file: the bench file without its `[effects]` and `[render]`."""
+    """The recording's file: the bench file without its `[effects]` and `[render]`, its pictures named."""
     document = tomlkit.parse(text)
+    dark = document.get("render", {}).get("dark", True)
+    for number, exposure in enumerate(document["exposure"], 1):
+        if "image" not in exposure:
+            exposure.update({"image": f"{number:03d}.png"} | ({"dark": f"{number:03d}-dark.png"} if dark else {}))
     for table in ("effects", "render"):
         document.pop(table, None)
     return tomlkit.dumps(document)
