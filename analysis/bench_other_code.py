@@ -257,9 +257,10 @@ def main() -> None:
         marks = lay_marks(size)
         lines = ["id,y_mm,z_mm,side_mm", *(f"{i:.0f},{y:.3f},{z:.3f},{s:.3f}" for i, y, z, s in marks)]
         (options.folder / name).write_text("\n".join(lines) + "\n")
-    (options.folder / "recording.toml").write_text(conceal(text))
+    concealed = conceal(text)
+    (options.folder / "recording.toml").write_text(concealed)
     truth: Table = {}
-    for number, exposure in enumerate(bench["exposure"]):
+    for number, exposure in enumerate(tomllib.loads(concealed)["exposure"]):
         lit, dark, known = picture(bench, number, p, drawn, marks, noise_rng)
         truth |= {f"{key}_{number}": value for key, value in known.items()}
         for key, image in (("image", lit), ("dark", dark)):

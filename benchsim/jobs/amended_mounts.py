@@ -16,6 +16,12 @@ from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Function, Learnt, Mount, Session
 
+CHANGE = 0.6
+"""By which a heliostat's mount changes from one part of its records to the next, rms in each component [mrad of the
+normal]. Of sixteen heliostats learnt from the first half of their first 70 % of records 68 % of the other half are then
+within the predicted sigma, each heliostat counted alike (without it 34 % of all records); of the last 30 %, which had
+no part in that, 70 % of 254 (30 %). What it trades: misses of a mount that stays as it is are stated too large."""
+
 DRIFT = "drift."
 """Begins the names of what every telescope does beside its terms (`prediction`)."""
 
@@ -110,4 +116,5 @@ def learnt(built: Built, d: Diagnosis, put: Mapping[str, dict[str, float]], fiel
         left = np.eye(2 * n) - slopes[:, ~stays] @ fit[~stays]
         part = np.diag(left @ errors @ left.T).reshape(-1, 2).mean(axis=0) / sigma**2
         sigma = bulk / np.sqrt(np.maximum(part, 1 / n))
-    return Learnt(sigma * mount.of_normal, tuple(p.name for p in known), spread * size[:, None] * size, zeros)
+    covariance = spread * size[:, None] * size
+    return Learnt(sigma * mount.of_normal, tuple(p.name for p in known), covariance, zeros, 0.0 if sky else CHANGE)

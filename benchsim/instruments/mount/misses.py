@@ -74,8 +74,8 @@ def covariances(session: Session, learnt: Learnt, *, single: bool = True) -> Arr
     session : Session
     learnt : Learnt
     single : bool
-        Whether the errors of a record count, its day's among them, beside those of what was fitted. How a mount changes
-        from season to season is in neither.
+        Whether the errors of a record count, its day's among them, and the mount's change until then, beside those of
+        what was fitted.
     """
     known = {p.name: p for p in mount_problem.fitted(session)}
     own = tuple(known[name] for name in learnt.parameters)
@@ -83,7 +83,7 @@ def covariances(session: Session, learnt: Learnt, *, single: bool = True) -> Arr
     problem = problem_of(mount_problem.predicted(session, every), (), 1.0)
     slopes = linear.columns(problem, {}, own).reshape(-1, 2, len(own)) * session.mount.of_normal
     fitted = slopes @ learnt.covariance @ slopes.transpose(0, 2, 1)
-    return np.asarray(fitted + np.diag(learnt.sigma**2) if single else fitted)
+    return np.asarray(fitted + np.diag(learnt.sigma**2 + learnt.change**2) if single else fitted)
 
 
 def radius(covariance: Array, probability: float = SIGMA) -> float:

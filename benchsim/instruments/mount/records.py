@@ -159,12 +159,15 @@ class Learnt:
         Of these, in the units of the catalogue.
     zeros : (2,) array or None
         A telescope's encoder zeros (IA, IE) [rad]; None for a heliostat.
+    change : float
+        By which the mount changes until a later record, rms in each component [mrad of the normal].
     """
 
     sigma: Array
     parameters: tuple[str, ...]
     covariance: Array
     zeros: Array | None = None
+    change: float = 0.0
 
 
 @dataclass(frozen=True)

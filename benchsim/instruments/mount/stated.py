@@ -16,6 +16,7 @@
 
     [prediction]                        # how sure it is, which only predictions need; optional
     sigma_mrad = [0.2, 0.4]             # errors of a record on another day, across and up, mrad of the normal
+    change_mrad = 0.6                   # by which the mount changes until then, in each; 0 if left out
     parameters = ["survey_e", "tilt_n"] # what was fitted, and its covariance in the units of the catalogue
     covariance = [[310.0, -1.2], [-1.2, 0.5]]
     zeros_arcsec = [1205.2, 2.9]        # telescopes: of the encoders, IA and IE, true less read
@@ -136,6 +137,7 @@ def write(
         zeros = {} if learnt.zeros is None else {"zeros_arcsec": _plain(learnt.zeros / UNITS["arcsec"])}
         document["prediction"] = {
             "sigma_mrad": _plain(learnt.sigma),
+            **({"change_mrad": learnt.change} if learnt.change else {}),
             "parameters": list(learnt.parameters),
             "covariance": _plain(learnt.covariance),
             **zeros,
@@ -183,7 +185,7 @@ def _learnt(path: Path, session: Session, table: Any) -> Learnt:
         raise BenchsimError(f"{path}: prediction: is no table; write [prediction] as benchsim diagnose does, or none")
     sky = session.mount.observes == "sky"
     wanted = {"sigma_mrad", "parameters", "covariance", *(("zeros_arcsec",) if sky else ())}
-    if set(table) != wanted:
+    if set(table) - {"change_mrad"} != wanted:
         listed = ", ".join(sorted(wanted))
         raise BenchsimError(f"{path}: prediction: has {', '.join(table) or 'nothing'}; it has to have {listed}")
     names, known = table["parameters"], {p.name for p in mount_problem.fitted(session)}
@@ -198,18 +200,26 @@ def _learnt(path: Path, session: Session, table: Any) -> Learnt:
         except (TypeError, ValueError):
             found = np.full(shape, np.nan)
         if not np.isfinite(found).all():
-            raise BenchsimError(f"{path}: prediction.{key}: write {' times '.join(map(str, shape))} finite numbers")
+            raise BenchsimError(
+                f"{path}: prediction.{key}: write {' times '.join(map(str, shape)) or 'a'} finite number{'s' if shape else ''}"
+            )
         return found
 
     sigma, covariance = numbers("sigma_mrad", (2,)), numbers("covariance", (len(names),) * 2)
+    change = float(numbers("change_mrad", ())) if "change_mrad" in table else 0.0
     scale = np.sqrt(np.abs(np.diag(covariance)))
     unit = covariance / np.maximum(np.outer(scale, scale), 1e-300)
-    if (sigma < 0).any() or (np.diag(covariance) < 0).any() or np.abs(unit - unit.T).max(initial=0.0) > ROUNDED:
+    if (
+        change < 0
+        or (sigma < 0).any()
+        or (np.diag(covariance) < 0).any()
+        or np.abs(unit - unit.T).max(initial=0.0) > ROUNDED
+    ):
         raise BenchsimError(
-            f"{path}: prediction: sigma_mrad or covariance is none of errors; mend it, or remove the table"
+            f"{path}: prediction: sigma_mrad, change_mrad or covariance is none of errors; mend it, or remove the table"
         )
     zeros = numbers("zeros_arcsec", (2,)) * UNITS["arcsec"] if sky else None
-    return Learnt(sigma, tuple(names), covariance, zeros)
+    return Learnt(sigma, tuple(names), covariance, zeros, change)
 
 
 def _toml(path: Path) -> dict[str, Any]:
