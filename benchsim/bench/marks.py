@@ -27,8 +27,8 @@ def read_marks(path: Path) -> Marks:
             rows = [row for row in csv.reader(handle) if row]
     except FileNotFoundError:
         raise BenchsimError(f"{path.name}: not there (looked in {path.parent}); add it, or mend screen.marks") from None
-    except (OSError, UnicodeDecodeError):
-        raise BenchsimError(f"{path.name}: cannot be read as a CSV file; check it and its permissions") from None
+    except (OSError, ValueError, csv.Error):
+        raise BenchsimError(f"{path.name!r}: cannot be read as a CSV file; check it, its name and permissions") from None
     if not rows or [c.strip() for c in rows[0]] != MARKS_HEADER:
         raise BenchsimError(f"{path.name}: line 1 must read {','.join(MARKS_HEADER)}")
     ids, centres, sides = [], [], []
@@ -40,7 +40,7 @@ def read_marks(path: Path) -> Marks:
             good = False
         if not good:
             raise BenchsimError(
-                f"{path.name}: line {n}: '{','.join(row)}' is not id (0 … {TAGS_36H11 - 1}), y, z, side > 0 in mm"
+                f"{path.name}: line {n}: {','.join(row)!r} is not id (0 … {TAGS_36H11 - 1}), y, z, side > 0 in mm"
             )
         if tag in ids:
             raise BenchsimError(f"{path.name}: line {n}: id {tag} stands twice; each mark has its own id")

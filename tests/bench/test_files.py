@@ -215,6 +215,18 @@ def test_bad_marks_get_one_sentence_with_file_and_line(case, folder):
     assert "\n" not in str(caught.value)
 
 
+def test_a_name_or_content_with_nul_is_one_printable_sentence(folder):
+    (folder / "marks.csv").write_text("id,y_mm,z_mm,side_mm\n0,\x00,318.0,32.0\n")
+    with pytest.raises(BenchsimError, match=r"marks\.csv") as caught:
+        read(folder)
+    assert str(caught.value).isprintable()
+    file = folder / "recording.toml"
+    file.write_text('screen.marks = "\\u0000.csv"\n' + file.read_text())
+    with pytest.raises(BenchsimError, match="cannot be read as a CSV file") as caught:
+        read(folder)
+    assert str(caught.value).isprintable()
+
+
 def test_missing_files_are_named(folder, tmp_path):
     (folder / "marks.csv").unlink()
     with pytest.raises(BenchsimError, match=r"marks\.csv: not there"):
