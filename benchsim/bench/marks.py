@@ -28,7 +28,7 @@ def read_marks(path: Path) -> Marks:
     except FileNotFoundError:
         raise BenchsimError(f"{path.name}: not there (looked in {path.parent}); add it, or mend screen.marks") from None
     except (OSError, ValueError, csv.Error):
-        raise BenchsimError(f"{path.name!r}: cannot be read as a CSV file; check it, its name and permissions") from None
+        raise BenchsimError(f"{path.name!r}: cannot be read as a CSV file; check its name and permissions") from None
     if not rows or [c.strip() for c in rows[0]] != MARKS_HEADER:
         raise BenchsimError(f"{path.name}: line 1 must read {','.join(MARKS_HEADER)}")
     ids, centres, sides = [], [], []
