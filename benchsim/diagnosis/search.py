@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis import degeneracy, evidence, linear
-from benchsim.diagnosis.explored import Begun, Search, columns_of, log_z_about, scale_of, strayed, whole
-from benchsim.diagnosis.fitting import RENEWALS, Start, fitted, misses
+from benchsim.diagnosis.explored import Begun, Search, log_z_about, strayed, whole
+from benchsim.diagnosis.fitting import RENEWALS, fitted, misses
 from benchsim.diagnosis.hypothesis import LARGEST, Context, Effects, Hypothesis, Solved
 from benchsim.diagnosis.screen import Catalogue
-from benchsim.diagnosis.starts import places, starts
+from benchsim.diagnosis.starts import at_fit, places, starts
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -188,11 +188,8 @@ def _settle(s: Search) -> None:
 
 def _exactly(s: Search, sets: Sequence[Effects]) -> None:
     """Follow fits from where they ended with exact derivatives."""
-    p, some = len(s.context.problem.nuisances), [s.done[e] for e in sets]
-    starts = [
-        Start(s.hypothesis(x.fit.effects), x.point, x.columns[:, :p], scale_of(s, x), columns_of(s, x)) for x in some
-    ]
-    _keep(s, fitted(s.context, starts, {e: s.prior(e) for e in sets}, renewals=RENEWALS))
+    ends = [at_fit(s, e, s.done[e]) for e in sets]
+    _keep(s, fitted(s.context, ends, {e: s.prior(e) for e in sets}, renewals=RENEWALS))
 
 
 def _faint(s: Search, solved: Solved) -> Solved:

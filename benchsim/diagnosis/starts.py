@@ -82,16 +82,17 @@ def starts(s: Search, effects: Effects) -> list[Start]:
                 begin(np.zeros(p), {**kept, new: place}, s.stated, own)
     for above in (x for x in s.done.values() if len(x.fit.effects) == len(effects) + 1 and not misses(x)):
         if set(effects) < set(above.fit.effects):
-            start = Start(
-                h,
-                _point(s, h, above.point.nuisance, {e: _of(s, above, e) for e in effects}),
-                above.columns[:, :p],
-                scale_of(s, above),
-                columns_of(s, above),
-            )
-            out.append(start)
+            out.append(at_fit(s, effects, above))
             break
     return out
+
+
+def at_fit(s: Search, effects: Effects, solved: Solved) -> Start:
+    """Where a fit ended, of a set that it holds."""
+    h = s.hypothesis(effects)
+    point = _point(s, h, solved.point.nuisance, {e: _of(s, solved, e) for e in effects})
+    p = len(s.context.problem.nuisances)
+    return Start(h, point, solved.columns[:, :p], scale_of(s, solved), columns_of(s, solved))
 
 
 def _straight(s: Search, name: str) -> dict[str, Array]:

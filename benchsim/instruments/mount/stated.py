@@ -200,8 +200,8 @@ def _learnt(path: Path, session: Session, table: Any) -> Learnt:
         except (TypeError, ValueError):
             found = np.full(shape, np.nan)
         if not np.isfinite(found).all():
-            wanted = f"{' times '.join(map(str, shape))} finite numbers" if shape else "a finite number"
-            raise BenchsimError(f"{path}: prediction.{key}: write {wanted}")
+            many = f"{' times '.join(map(str, shape))} finite numbers" if shape else "a finite number"
+            raise BenchsimError(f"{path}: prediction.{key}: write {many}")
         return found
 
     sigma, covariance = numbers("sigma_mrad", (2,)), numbers("covariance", (len(names),) * 2)
