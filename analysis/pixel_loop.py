@@ -50,8 +50,9 @@ from benchsim import diagnosis
 from benchsim.bench.files import read
 from benchsim.bench.model import Recording
 from benchsim.instruments.bench import observables, problem
-from benchsim.instruments.bench.asymmetry import measure, pixels_of, settled
+from benchsim.instruments.bench.asymmetry import measure, settled
 from benchsim.instruments.bench.fitted_simulation import left_out, probable, state
+from benchsim.instruments.bench.pixels import pixels_of
 from benchsim.instruments.bench.prediction import Predict, errors
 from benchsim.jobs import comparing
 from benchsim.render.recording import RenderedTruth, render_recording
@@ -85,15 +86,16 @@ def loop(
     own = [p for e in built.catalogue if e.name in effects for p in e.parameters if not p.grid]
     blocks = range(len(built.names))
     unread = left_out(built, effects, probable(built, [*built.nuisances, *own], {}))
-    after = unread if plain else settled(built, recording, unread)
+    seen = [pixels_of(recording, o) for o in observed]
+    after = unread if plain else settled(built, seen, unread)
     before = after
     if effects:
         before = left_out(built, (), probable(built, built.nuisances, {}))
-        before = before if plain else settled(built, recording, before)
+        before = before if plain else settled(built, seen, before)
     new = [state(predict, b, after[b]) for b in blocks]
     old = [state(predict, b, before[b]) for b in blocks] if effects else new
     fitted = time.process_time()
-    found = comparing.compare(recording, observed, old, new)
+    found = comparing.compare(recording, observed, old, new, pixels=seen)
     seconds = (time.process_time() - fitted) / len(observed)
     print(f"effects: {', '.join(effects) or 'none'}; CPU {fitted - start:.0f} s to fit, {seconds:.1f} s per exposure")
     for p in own:

@@ -17,12 +17,11 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
 from benchsim.instruments.bench.fitted_simulation import State
 from benchsim.instruments.bench.observed import Observed
-from benchsim.instruments.bench.pixels import WIDTHS, Pixels, about_trace
+from benchsim.instruments.bench.pixels import WIDTHS, Pixels, about_trace, free_board
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trace.speckle import Whitener
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Image = NDArray[np.floating]
 
 BLURS = (0.2, 3.0)
@@ -31,10 +30,10 @@ BLURS = (0.2, 3.0)
 NEAR = 1.0
 """Farthest pixel that a cell of the straightened grid shows [px]."""
 
-RAYS = 1 << 25
-"""Of a render, 2 s of CPU. A bin of 0.25 mm is then good to some 0.005, a pixel that sees sixteen to 0.002, where a
-photograph has 0.005 or more. A fixed number, since what adds dimensions to the light (shaking, facets that differ)
-makes a wanted error cost minutes."""
+RAYS = 1 << 24
+"""Of a render, 1 s of CPU. A bin of 0.25 mm is then good to some 0.007, a pixel that sees sixteen to 0.003, where a
+photograph has 0.01 and more (8-bit pictures and speckle; 0.005 at best, where z becomes 1.15 instead of 1). A fixed
+number, since what adds dimensions to the light (shaking, facets that differ) makes a wanted error cost minutes."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +129,7 @@ def compare(
     before: Sequence[State],
     after: Sequence[State],
     *,
+    pixels: Sequence[Pixels | None] | None = None,
     seed: int = 0,
     rays: int = RAYS,
     progress: Progress = silent,
@@ -146,6 +146,8 @@ def compare(
         The exposures to compare.
     before, after : sequence of State
         One for each; where both are the same object there is one render.
+    pixels : sequence of Pixels or None, optional
+        Of each, as `pixels_of` gave them; where they are not there the photograph is read.
     seed : int
         Of the light's rays.
     rays : int
@@ -164,13 +166,12 @@ def compare(
     from benchsim.render.charge import arrived
     from benchsim.render.rerendered import expected
 
-    def show(s: State, exposure: Exposure) -> tuple[Render, Image]:
+    def show(s: State, exposure: Exposure) -> Render:
         picture = expected(
             s.recording, exposure, s.camera, s.rotation, s.translation, s.errors,
-            shape=s.shape, seed=seed, rays=rays,
+            shape=s.shape, seed=seed, rays=rays, lit_only=True,
         )  # fmt: skip
-        on_sensor = partial(arrived, effects=s.recording.effects, fields=s.recording.fields)
-        return Render(picture.laser, on_sensor), picture.room
+        return Render(picture.laser, partial(arrived, effects=s.recording.effects, fields=s.recording.fields))
 
     unknown = {name for name, camera in recording.cameras.items() if camera.gamma == "unknown"}
     if unknown and all(recording.exposures[o.index].camera in unknown for o in observed):
@@ -179,14 +180,16 @@ def compare(
             "by pixel with renders, only their traces; state the gamma if the camera's maker does"
         )
     done, lost = [], []
-    for count, (o, old, new) in enumerate(zip(observed, before, after, strict=True)):
+    known = pixels or [None] * len(observed)
+    for count, (o, old, new, view) in enumerate(zip(observed, before, after, known, strict=True)):
         exposure = recording.exposures[o.index]
         try:
             progress(f"rendering {exposure.name} again", count / len(observed))
-            last, room = show(new, exposure)
+            last = show(new, exposure)
             progress(f"rendering {exposure.name} again", (count + 0.5) / len(observed))
-            first = last if old is new else show(old, exposure)[0]
-            done.append(compare_exposure(recording, o, first, last, room > 0.85 * recording.screen.reflectance))
+            first = last if old is new else show(old, exposure)
+            view = view or about_trace(recording, exposure, o, free_board(recording, o))
+            done.append(compare_exposure(exposure.name, view, first, last))
         except BenchsimError as error:
             lost.append(f"{exposure.name}: not compared in pixels: {error}")
     if not done:
@@ -214,33 +217,20 @@ def draw(comparison: Comparison, path: Path, title: str) -> list[Path]:
     return strips(path, shown, title)
 
 
-def compare_exposure(
-    recording: Recording, observed: Observed, before: Render, after: Render, free: Mask
-) -> ExposureComparison:
-    """Hold two renders of one exposure against its photograph.
-
-    Parameters
-    ----------
-    recording : Recording
-    observed : Observed
-        Where the trace is in the picture; not what is expected there.
-    before, after : Render
-    free : (rows, columns) bool
-        Pixels that see free board; those within four pixels of others are left out.
+def compare_exposure(name: str, view: Pixels, before: Render, after: Render) -> ExposureComparison:
+    """Hold two renders of one exposure against the pixels about its trace.
 
     Raises
     ------
     BenchsimError
-        If too few pixels are free.
+        If no rendered light falls on the trace.
     """
-    exposure = recording.exposures[observed.index]
-    view = about_trace(recording, exposure, observed, free)
     whole, core = view.white(WIDTHS), view.white(1.0)
     own = whole(view.grain.residual / np.sqrt(1 - view.grain.leverage))
     second, background = _fit(view, after, whole, core)
     first = second if before is after else _fit(view, before, whole, core)[0]
     return ExposureComparison(
-        name=exposure.name,
+        name=name,
         pixels=int(view.inner.sum()),
         noise_std=float(np.sqrt(np.mean(own**2))),
         speckle=float(np.sqrt(view.grain.noise.speckle)),

@@ -280,6 +280,7 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
     """
     from benchsim.instruments.bench.asymmetry import settled
     from benchsim.instruments.bench.fitted_simulation import probable, state
+    from benchsim.instruments.bench.pixels import pixels_of
     from benchsim.jobs import comparing
     from benchsim.render import backend
 
@@ -296,12 +297,13 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
         lawful = replace(problem, predict=amended)
         values = probable(lawful, problem.nuisances, values, setting_scale=d.setting_scale)
     blocks = range(len(problem.names))
-    each = settled(lawful, result.recording, [values for _ in blocks], d.setting_scale)
+    seen = [pixels_of(result.recording, b.observed) for b in predict.blocks]
+    each = settled(lawful, seen, [values for _ in blocks], d.setting_scale)
     after = [state(amended, b, each[b]) for b in blocks]
     before = after
     if d.law is not None or values.keys() & of_effects:
         null = probable(problem, problem.nuisances, bare, setting_scale=d.setting_scale)
-        each = settled(problem, result.recording, [null for _ in blocks], d.setting_scale)
+        each = settled(problem, seen, [null for _ in blocks], d.setting_scale)
         before = [state(predict, b, each[b]) for b in blocks]
     backend.use(None)
     compared = comparing.compare(
@@ -309,6 +311,7 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
         [b.observed for b in predict.blocks],
         before,
         after,
+        pixels=seen,
         progress=lambda what, done: progress(what, 0.82 + 0.17 * done),
     )
     rows = [

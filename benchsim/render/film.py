@@ -119,9 +119,7 @@ class Film:
     def spread(self, nodes: Array) -> Array:
         """Values of the band's nodes as (nz, ny) bins of the board."""
         dense = np.zeros((self.rows + 2, self.columns + 2))
-        columns = self.node_first[:, None] + np.arange(self.node_width)
-        rows = np.broadcast_to(np.arange(self.rows + 2)[:, None], columns.shape)
-        inside = columns < self.columns + 2
-        dense[rows[inside], columns[inside]] = nodes.reshape(columns.shape)[inside]
+        for row, first, own in zip(dense, self.node_first, nodes.reshape(self.rows + 2, self.node_width), strict=True):
+            row[first : first + self.node_width] = own[: len(row) - first]
         dense = dense[1:-1, 1:-1]
         return np.ascontiguousarray(dense.T) if self.lying else dense

@@ -171,7 +171,9 @@ def irradiance(
                 f"{exposure.name}: the light's noise is {error:.1e} after {per_replicate * REPLICATES:.0e} rays, not "
                 f"{target:.1e}; give a larger render.relative_error"
             )
-    values = film.spread(mean) * (s.measure / pitch**2)
+    dr.flush_malloc_cache()  # the rays' arrays, hundreds of megabytes, are of no use to the picture
+    values = film.spread(mean)
+    values *= s.measure / pitch**2
     return ScreenMap(values, film.y0, film.z0, pitch, error, per_replicate * REPLICATES)
 
 

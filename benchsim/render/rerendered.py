@@ -12,15 +12,13 @@ from benchsim.bench.place import SettingErrors, place
 from benchsim.render.beam_table import BeamTable, axes, powers
 from benchsim.render.irradiance import ScreenMap, irradiance
 from benchsim.render.picture import Picture, photograph
+from benchsim.render.surface import AS_A_WHOLE
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
 
 REACH = 2.5
 """Radius of the beam's section, in 1/e² radii, within which its shape is followed; 4e-6 of the power lies beyond."""
-
-POSED = ("screen-distance", "screen-rotation")
-"""Effects that a pose of the camera solved from the board's own marks holds already."""
 
 
 def shaped(shape: tuple[float, float, float], direction: Array, axis: Array) -> BeamTable:
@@ -83,6 +81,7 @@ def expected(
     seed: int = 0,
     rays: int | None = None,
     light: ScreenMap | None = None,
+    lit_only: bool = False,
 ) -> Picture:
     """What the camera would see of an exposure, by this realisation of the bench.
 
@@ -106,6 +105,8 @@ def expected(
         As in `irradiance`.
     light : ScreenMap, optional
         From `lit`, in place of tracing it.
+    lit_only : bool
+        As in `photograph`.
 
     Returns
     -------
@@ -123,7 +124,7 @@ def expected(
     placement = place(recording.mirror, exposure, errors)
     seen_by = np.asarray(rotation) @ placement.screen_rotation.T
     pose = (seen_by, np.asarray(translation) - seen_by @ placement.screen_origin)
-    shown = {name: table for name, table in recording.effects.items() if name not in POSED}
+    shown = {name: table for name, table in recording.effects.items() if name not in AS_A_WHOLE}
     return photograph(
         recording.screen,
         camera,
@@ -133,4 +134,5 @@ def expected(
         narrow=not recording.physics.beam,
         effects=shown,
         fields=recording.fields,
+        lit_only=lit_only,
     )

@@ -27,6 +27,9 @@ EFFECTS: Mapping[str, tuple[str, ...]] = {
     "screen-rotation": ("srot",),
 }
 
+AS_A_WHOLE = ("screen-distance", "screen-tilt", "screen-rotation")
+"""Those that `turned` applies: a pose of the camera that was solved from the board's own marks holds them already."""
+
 FIELDS = ("height",)
 
 

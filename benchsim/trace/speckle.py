@@ -107,17 +107,26 @@ def measure_grain(
         normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
         factor = cho_factor(normal)
         smooth = design @ cho_solve(factor, weighted.T @ light)
-        leverage = np.clip(
-            weight * np.asarray(design.multiply(design @ cho_solve(factor, np.eye(len(normal)))).sum(axis=1)).ravel(),
-            0.0,
-            0.9,
-        )
+        leverage = np.clip(weight * _quadratic(design, cho_solve(factor, np.eye(len(normal)))), 0.0, 0.9)
         line = smooth - background
         noise = fit_pixel_noise(light - smooth, pedestal + smooth, line, leverage)
         variance = noise.variance(pedestal + smooth, line)
         weight = 1 / variance
     residual, shared = light - smooth, noise.speckle * line**2
     return Grain(smooth, residual, leverage, variance, shared, _size(u, v, residual, shared, variance), noise)
+
+
+def _quadratic(design: csr_array, c: Array) -> Array:
+    """x C x of every row x; a row's few entries are multiplied with each other alone."""
+    out = np.zeros(design.shape[0])
+    value, column, start = design.data, design.indices, design.indptr[:-1]
+    filled = np.diff(design.indptr)
+    for i in range(filled.max()):
+        for j in range(i + 1):
+            rows = np.flatnonzero(filled > i)
+            a, b = start[rows] + i, start[rows] + j
+            out[rows] += (1 if i == j else 2) * value[a] * value[b] * c[column[a], column[b]]
+    return out
 
 
 def _pairs(

@@ -128,36 +128,36 @@ def test_a_photograph_of_other_code_is_rendered_to_its_noise(tmp_path):
 
 @pytest.fixture(scope="module")
 def laid(bowed, bowed_seen):
-    """What is laid on the first photograph: the render with the bow that was fitted, and the free board."""
+    """What is laid on the first photograph: the render with the bow that was fitted."""
     observed, built = bowed_seen
     s = state(built.predict, 0, probable(built, [*built.nuisances, *parameters(built, "screen-bow")], {}))
     kept = {}
 
-    def keep(recording, o, before, after, free):
-        kept.update(render=after, free=free)
+    def keep(name, view, before, after):
+        kept.update(render=after)
         raise BenchsimError("kept")
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparing, "compare_exposure", keep)
         with pytest.raises(BenchsimError, match="kept"):
             comparing.compare(bowed, observed[:1], [s], [s], rays=FEW)
-    return kept["render"], kept["free"]
+    return kept["render"]
 
 
-def photographed(monkeypatch, light, seed):
-    """Photographs are from now on this light, with noise."""
+def photographed(monkeypatch, light, seed, recording, observed):
+    """Pixels about a trace if its photograph were this light, with noise."""
     light = np.random.default_rng(seed).normal(light + 100.0, 20 + 0.03 * light)
     seen = SimpleNamespace(linear=True, saturated=np.zeros(light.shape, bool), light=light)
     monkeypatch.setattr(about, "read_photographs", lambda *_: (seen, None))
+    return about.pixels_of(recording, observed)
 
 
 def test_gain_and_blur_are_those_of_the_photograph(bowed, bowed_seen, laid, monkeypatch):
     """A photograph that is a blurred multiple of the render, with noise: both come back, and z is 1."""
-    render, free = laid
-    photographed(monkeypatch, 2e4 * cv2.GaussianBlur(render.laser / render.laser.max(), (0, 0), 0.8), 3)
-    found = comparing.compare_exposure(bowed, bowed_seen[0][0], render, render, free)
+    light = 2e4 * cv2.GaussianBlur(laid.laser / laid.laser.max(), (0, 0), 0.8)
+    found = comparing.compare_exposure("0", photographed(monkeypatch, light, 3, bowed, bowed_seen[0][0]), laid, laid)
     assert found.after is found.before
-    assert found.after.gain * render.laser.max() == pytest.approx(2e4, rel=0.01)
+    assert found.after.gain * laid.laser.max() == pytest.approx(2e4, rel=0.01)
     assert found.after.blur == pytest.approx(0.8, abs=0.02)
     assert found.after.z_std == pytest.approx(1, abs=4 / math.sqrt(2 * found.pixels) + 0.02)
 
@@ -169,14 +169,13 @@ def test_what_the_sensor_does_is_laid_on_the_photograph(bowed, bowed_seen, laid,
     Set-up: a photograph whose bright pixels are moved by a third of a pixel. Expectation: z of 1 where the state has
     that field or effect, far above where it has not; the lens's blur comes back, and is not put after the sensor.
     """
-    render, free = laid
     level = np.array([0.0, 1.0])
     fields = {"brightness": field([level], np.stack([0.3 * level, -0.3 * level]))} if kind == "law" else {}
     of_sensor = {"saturation": {"sat": 0.5}} if kind == "blooming" else {}
     sensor = partial(charge.arrived, effects=of_sensor, fields=fields)
-    light = cv2.GaussianBlur(render.laser / render.laser.max(), (0, 0), 0.8)
-    photographed(monkeypatch, 2e4 * sensor(light), 4)
-    found = comparing.compare_exposure(bowed, bowed_seen[0][0], render, replace(render, arrived=sensor), free)
+    light = 2e4 * sensor(cv2.GaussianBlur(laid.laser / laid.laser.max(), (0, 0), 0.8))
+    view = photographed(monkeypatch, light, 4, bowed, bowed_seen[0][0])
+    found = comparing.compare_exposure("0", view, laid, replace(laid, arrived=sensor))
     assert found.after.z_std == pytest.approx(1, abs=4 / math.sqrt(2 * found.pixels) + 0.02)
     assert found.before.z_std > 1.5
     assert found.after.blur == pytest.approx(0.8, abs=0.02)

@@ -1,15 +1,18 @@
 """The camera's picture against OpenCV's projection, against flux, and against a float64 integral over pixels."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from scipy.interpolate import griddata
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.model import Camera, Exposure, Marks, Mirror, Screen
+from benchsim.bench.model import Camera, Exposure, Laser, Marks, Mirror, Recording, Screen
 from benchsim.bench.place import Placement, SettingErrors, camera_pose, place
 from benchsim.render.irradiance import ScreenMap
 from benchsim.render.picture import WALL, photograph
+from benchsim.render.rerendered import expected
 
 PITCH = 0.25
 CAMERA = Camera("A", (800, 600), 880.0, (403.2, 296.7), (-0.12, 0.05, 0.0007, -0.0005, 0.01))
@@ -171,3 +174,33 @@ def test_a_camera_behind_the_screen_is_refused():
     rotation, translation = camera_pose(Camera("B", (80, 60), 88.0, (39.5, 29.5), position=(-1200.0, 350.0, -150.0)))
     with pytest.raises(BenchsimError, match="camera A stands behind"):
         photograph(SCREEN, CAMERA, None, placement=tilted(), pose=(rotation, translation))
+
+
+@pytest.mark.parametrize("bow", [{}, {"screen-bow": {"bow_y": 0.1, "bow_z": -0.05}}], ids=["plane", "bowed"])
+def test_the_trace_alone_is_the_whole_pictures(bow):
+    """Two spots on one side of the board, a mark under one: photographed alone they are as in the whole picture."""
+    screen = Screen(SCREEN.size, 0.8, Marks((7,), ((-180.0, 60.0),), (40.0,)))
+    light = blobs([(-200.0, 50.0), (-90.0, -20.0)], 5.0)
+    whole, part = (
+        photograph(screen, CAMERA, light, placement=tilted(), effects=bow, lit_only=alone) for alone in (False, True)
+    )
+    assert np.abs(part.laser - whole.laser).max() < 2e-4 * whole.laser.max()
+    assert (part.room == np.float32(WALL)).sum() > (whole.room == np.float32(WALL)).sum() + 50_000
+
+
+@pytest.mark.parametrize(
+    "table", [{"screen-distance": {"sx": 15.0}}, {"screen-tilt": {"st_y": 20.0, "st_z": -12.0}},
+              {"screen-rotation": {"srot": 18.0}}]
+)  # fmt: skip
+def test_what_turns_a_board_is_in_the_pose_that_its_marks_gave(table):
+    """Rationale: a pose solved from marks holds all that moves them together; shown besides, it would be seen twice.
+
+    Set-up: one light on the board, seen from one pose of its marks. Expectation: the same picture with the effect.
+    """
+    bench = Recording(Laser(), Mirror(), SCREEN, {"A": CAMERA}, (EXPOSURE,))
+    pose = camera_pose(CAMERA)
+    light = blobs([(-200.0, 50.0), (90.0, -120.0)], 4.0)
+    shown = [
+        expected(replace(bench, effects=effects), EXPOSURE, CAMERA, *pose, light=light).laser for effects in ({}, table)
+    ]
+    np.testing.assert_array_equal(*shown)

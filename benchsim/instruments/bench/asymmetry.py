@@ -37,7 +37,7 @@ from benchsim.instruments.bench import board_coordinates
 from benchsim.instruments.bench.effects import PHYSICS_OF
 from benchsim.instruments.bench.fitted_simulation import probable
 from benchsim.instruments.bench.observed import Observed
-from benchsim.instruments.bench.pixels import Pixels, about_trace, free_board
+from benchsim.instruments.bench.pixels import Pixels
 from benchsim.instruments.bench.prediction import FAR, Predict, beam_shape, errors
 from benchsim.rays.cross_section import cross_sections
 from benchsim.trace.band import smooth_curve
@@ -163,7 +163,7 @@ def measure(predict: Predict, block: int, values: Values, pixels: Pixels) -> Asy
     values : mapping
         At which the block's trace is predicted well: nuisances and effects that were fitted to it.
     pixels : Pixels
-        About the block's trace, see `pixels_of`.
+        About the block's trace.
 
     Returns
     -------
@@ -188,14 +188,6 @@ def measure(predict: Predict, block: int, values: Values, pixels: Pixels) -> Asy
         return None
     even, uneven = (here + there) / 2, (here - there) / 2
     return _fitted(pixels, seen, (light, slope, bend, even), uneven)
-
-
-def pixels_of(recording: Recording, observed: Observed) -> Pixels | None:
-    """Pixels about the trace of an exposure's photograph; None if its gamma is unknown or too few are free."""
-    try:
-        return about_trace(recording, recording.exposures[observed.index], observed, free_board(recording, observed))
-    except BenchsimError:
-        return None
 
 
 def stands(predict: Predict, block: int, values: Values) -> Stands | None:
@@ -326,7 +318,7 @@ def joined(problem: Problem, asymmetries: Mapping[int, Asymmetry]) -> Problem:
 
 
 def settled(
-    problem: Problem, recording: Recording, values: Sequence[Values], setting_scale: float = 1.0
+    problem: Problem, pixels: Sequence[Pixels | None], values: Sequence[Values], setting_scale: float = 1.0
 ) -> list[dict[str, float]]:
     """Values in which each setting's own errors are fitted to its pictures' asymmetries as well.
 
@@ -336,8 +328,8 @@ def settled(
     ----------
     problem : Problem
         Of the bench.
-    recording : Recording
-        With its photographs.
+    pixels : sequence of Pixels or None
+        About each block's trace.
     values : sequence of mapping
         One for each block, the same within a setting: where it was fitted to all else.
     setting_scale : float
@@ -354,9 +346,9 @@ def settled(
     for group in dict.fromkeys(problem.groups):
         own = [b for b, g in enumerate(problem.groups) if g == group]
         free = [p for p in problem.nuisances if p.blocks is not None and set(p.blocks) <= set(own)]
-        seen = {b: pixels_of(recording, predict.blocks[b].observed) for b in own}
+        seen = [(b, p) for b in own if (p := pixels[b]) is not None]
         for _ in range(ROUNDS):
-            found = {b: measure(predict, b, out[b], p) for b, p in seen.items() if p is not None}
+            found = {b: measure(predict, b, out[b], p) for b, p in seen}
             known = {b: a for b, a in found.items() if a is not None}
             if not known:
                 break

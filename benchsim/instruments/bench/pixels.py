@@ -127,6 +127,14 @@ def about_trace(recording: Recording, exposure: Exposure, observed: Observed, fr
     return Pixels(band, u, v, along, n, value, background, grain, inner, half)
 
 
+def pixels_of(recording: Recording, observed: Observed) -> Pixels | None:
+    """Pixels about the trace of an exposure's photograph; None if its gamma is unknown or too few are free."""
+    try:
+        return about_trace(recording, recording.exposures[observed.index], observed, free_board(recording, observed))
+    except BenchsimError:
+        return None
+
+
 def free_board(recording: Recording, observed: Observed) -> Mask:
     """Pixels (rows, columns) that see the board beside its marks, by the solved pose."""
     seen = observed.view
