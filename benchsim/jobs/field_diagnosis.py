@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
-from benchsim.instruments.mount import misses, paint, shared_causes
+from benchsim.instruments.mount import misses, paint, shared_causes, wrong_days
 from benchsim.instruments.mount.records import UNITS, Session
 from benchsim.instruments.mount.shared_causes import Joint, Shared, Witness
 from benchsim.jobs import mount_diagnosis
@@ -196,7 +196,7 @@ def field(
                 rows[usable[k].name] = result
             else:
                 lost[usable[k].name] = sentence(usable[k], result)
-    remarks = []
+    remarks = wrong_days.told({name: row["days"] for name, row in rows.items()})
     if not together:
         remarks.append(
             f"What heliostats share cannot be told from {len(heard)}: a mirror that stands elsewhere and a target that "
@@ -329,7 +329,9 @@ def _row(heliostat: Heliostat, session: Session, result: MountDiagnosis) -> dict
         # The beam turns by twice the normal's angle.
         **{f"miss_{w}_m": float(np.nanmedian(2 * UNITS["mrad"] * x * distance)) / 1e3 for w, x in angle.items()},
         "changed_at": result.changed_at,
+        "changed_on": result.changed_on,
         "set_aside": list(result.built.aside),
+        "days": wrong_days.counted(result.session.records, result.built.aside),
         "next": d.next[0].what if d.next else "",
         "page": f"{heliostat.name}/report.html",
     }
@@ -342,7 +344,7 @@ def sentence(heliostat: Heliostat, error: Any) -> str:
 
 COLUMNS = (
     "id,east_m,north_m,up_m,records,verdict,causes,sizes,miss_before_mrad,miss_after_mrad,miss_before_m,miss_after_m,"
-    "changed_at,set_aside,next,page"
+    "changed_at,changed_on,set_aside,next,page"
 ).split(",")
 
 

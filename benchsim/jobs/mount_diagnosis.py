@@ -114,7 +114,8 @@ class MountDiagnosis:
         if self.changed_at:
             # Counted as the files do, records that were set aside among them.
             number = self.session.records.names.index(self.changed_at) + 1
-            since = f"from {self.changed_at} on the mount is another"
+            day = f" ({self.changed_on})" if self.changed_on else ""
+            since = f"from {self.changed_at}{day} on the mount is another"
             out.append(f"Changed at record {number}: {since}; diagnose both parts apart.")
         return tuple(out)
 
@@ -126,6 +127,12 @@ class MountDiagnosis:
         return "" if step is None else kept[min(int(np.ceil(step.parameters["change"].value)), len(kept) - 1)]
 
     @property
+    def changed_on(self) -> str:
+        """Day of that record in UTC; empty where nobody states it."""
+        records = self.session.records
+        return records.date(records.names.index(self.changed_at)) if self.changed_at else ""
+
+    @property
     def encoder_zeros(self) -> tuple[tuple[float, float], ...]:
         """A telescope's IA and IE with 1 sigma [arcsec], beside everything that was found."""
         known = self.learnt
@@ -135,13 +142,20 @@ class MountDiagnosis:
 
     @property
     def lost(self) -> tuple[str, ...]:
-        """Records that were set aside, one sentence each."""
-        unit = self.built.session.mount.unit
-        return tuple(
-            f"{name} lies apart from all others by more than chance allows, and was set aside (errors "
-            f"{self.built.sigma:.3g} {unit})."
-            for name in self.built.aside
-        )
+        """Records that were set aside, one sentence for each and for each run of neighbours."""
+        records, aside = self.session.records, np.sort([self.session.records.names.index(n) for n in self.built.aside])
+        out = []
+        for run in np.split(aside, np.flatnonzero(np.diff(aside) > 1) + 1) if len(aside) else ():
+            first, last = (f"{records.names[k]}{f' ({day})' if (day := records.date(k)) else ''}" for k in run[[0, -1]])
+            which = (
+                f"{first} lies apart from all others"
+                if len(run) == 1
+                else (f"{len(run)} records in a row, {first} to {last}, lie apart from those before and after")
+            )
+            errors = f"(errors {self.built.sigma:.3g} {self.session.mount.unit})"
+            was = "was" if len(run) == 1 else "were"
+            out.append(f"{which} by more than chance allows, and {was} set aside {errors}.")
+        return tuple(out)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``diagnosis.json``."""

@@ -4,7 +4,8 @@ One record with a wrong star, or a spot of another heliostat, bends every fit. E
 fitted to first order with Student's t errors (ν = 3), which such a record can hardly pull, and the most probable of
 them grows by what helps; where it leaves a record further out than the generalised extreme Studentized deviate test
 (Rosner 1983, https://doi.org/10.1080/00401706.1983.10487848) allows, that record is set aside. A change of the mount is
-not taken for outliers: where more than a sixth of the records would go, none goes.
+not taken for outliers: where more than a sixth of the records would go, or a run that lasts to the end or from the
+beginning, none goes. A run that the mount came back from (wrong days, a spell) goes like single records.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ EFFICIENCY = 0.37
 """Of a median of absolute deviations against a standard deviation, in numbers."""
 
 RUN = 3
-"""So many neighbours in time that would all go are a change of the mount, not wrong records."""
+"""So many neighbours in time that would all go, to the last or from the first, are a change of the mount."""
 
 _ROUNDS = 30
 
@@ -160,5 +161,6 @@ def _deviates(squares: Array, freedom: float) -> tuple[int, ...]:
         if squares[order[k - 1]] > max(limit, GROSS**2):
             gone = k
     found = sorted(int(i) for i in order[:gone])
-    together = len(found) >= RUN and found[-1] - found[0] == len(found) - 1
-    return tuple(found) if gone <= most and not together else ()
+    run = len(found) >= RUN and found[-1] - found[0] == len(found) - 1
+    changed = run and (found[0] == 0 or found[-1] == n - 1)
+    return tuple(found) if gone <= most and not changed else ()

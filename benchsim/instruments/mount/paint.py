@@ -143,7 +143,7 @@ def records_of(folder: Path, tower: Path, mount: Mount) -> tuple[Records, tuple[
     remarks += _methods(names, methods, np.array(spot), np.array(others))
     times, stamped = stamps.read([one for one, _ in found], _name(used[0].parent))
     source, said = solar.directions(used, np.array(seen), times, origin)
-    records = Records(names, np.array(reading), source, np.array(spot), target)
+    records = Records(names, np.array(reading), source, np.array(spot), target, times)
     _plausible(used, records, mount)
     return records, (*paths, *stamped), (*remarks, *said)
 

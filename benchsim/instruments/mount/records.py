@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,8 @@ class Records:
         Focal spots [mm]; nan for the sky.
     target : (n,) tuple of str
         Names of the targets; empty for the sky.
+    when : (n,) array, optional
+        Seconds since 1970-01-01 UTC; nan where nobody states it.
     """
 
     names: tuple[str, ...]
@@ -124,6 +127,13 @@ class Records:
     source: Array
     spot: Array
     target: tuple[str, ...]
+    when: Array | None = None
+
+    def date(self, k: int) -> str:
+        """Day of a record in UTC, as 2022-06-12; empty where nobody states it."""
+        if self.when is None or not np.isfinite(self.when[k]):
+            return ""
+        return datetime.fromtimestamp(float(self.when[k]), UTC).date().isoformat()
 
     def chosen(self, index: NDArray[np.intp] | list[int]) -> Records:
         """Some of the records."""
@@ -134,6 +144,7 @@ class Records:
             self.source[i],
             self.spot[i],
             tuple(self.target[k] for k in i),
+            None if self.when is None else self.when[i],
         )
 
 

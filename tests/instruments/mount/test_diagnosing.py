@@ -94,6 +94,20 @@ def test_a_mount_that_was_knocked_half_way_is_told_from_wrong_records():
     assert not found.built.aside
 
 
+def test_a_spell_that_the_mount_came_back_from_is_set_aside_with_its_dates():
+    """Five stars in a row of forty are 60 arcsec off, those after them are as before: no change, and no name."""
+    session = night(4)
+    spell = (np.arange(40) >= 15) & (np.arange(40) < 20)
+    moved = axes.turned(session.records.source, (np.zeros(1), np.zeros(1), np.where(spell, -60 * ARCSEC, 0.0)))
+    when = np.datetime64("2024-03-01").astype("datetime64[s]").astype(float) + 86400.0 * np.arange(40)
+    found = diagnose_session(replace(session, records=replace(session.records, source=moved, when=when)))
+    assert {f"star {k}" for k in range(16, 21)} <= set(found.built.aside) and len(found.built.aside) <= 6
+    assert not found.diagnosis.effects
+    assert "5 records in a row, star 16 (2024-03-16) to star 20 (2024-03-20), lie apart" in " ".join(
+        found.text().split()
+    )
+
+
 def test_what_was_found_put_in_leaves_nothing(tmp_path):
     """A pointing file, diagnosed by its path; its amended.toml is diagnosed as it stands."""
     session = night(5, AN=10.0, AW=14.0)
