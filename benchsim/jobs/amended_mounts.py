@@ -101,7 +101,7 @@ def learnt(built: Built, d: Diagnosis, put: Mapping[str, dict[str, float]], fiel
     n = len(session.records.names)
     stated = mount_problem.predicted(replace(session, mount=mount, effects=dict(put), fields=fields), ())
     rest = np.abs(stated.at([{}] * n, np.arange(n)))
-    bulk = np.maximum(np.quantile(rest, misses.SIGMA, axis=0), mount_problem.FAINTEST[mount.unit])
+    bulk = np.maximum(np.quantile(rest, misses.SIGMA, axis=0), mount_problem.faintest(session))
     common = mount_problem.shared(mount, session.records) * (d.setting_scale if sky else 1.0)
     alike = np.eye(n) + common @ common.T
     alike = np.kron(alike / np.diag(alike).mean(), np.eye(2))

@@ -140,12 +140,13 @@ def records_of(folder: Path, tower: Path, mount: Mount) -> tuple[Records, tuple[
     used = [p for (p, _), _ in found]
     reading, seen, spot, target, methods, others = zip(*(row for _, row in found), strict=True)
     names = tuple(p.name[: -len(CALIBRATION[0]) + 1] for p in used)
-    remarks += _methods(names, methods, np.array(spot), np.array(others))
+    spots = np.array(spot)
+    said, spot_sigma = _methods(names, methods, spots, np.array(others))
     times, stamped = stamps.read([one for one, _ in found], _name(used[0].parent))
-    source, said = solar.directions(used, np.array(seen), times, origin)
-    records = Records(names, np.array(reading), source, np.array(spot), target, times)
+    source, of_the_sun = solar.directions(used, np.array(seen), times, origin)
+    records = Records(names, np.array(reading), source, spots, target, times, spot_sigma)
     _plausible(used, records, mount)
-    return records, (*paths, *stamped), (*remarks, *said)
+    return records, (*paths, *stamped), (*remarks, *said, *of_the_sun)
 
 
 def _name(recordings: Path) -> str:
@@ -154,21 +155,27 @@ def _name(recordings: Path) -> str:
     return folder.parent.name if folder.name in RECORDINGS else folder.name
 
 
-def _methods(names: Sequence[str], methods: Sequence[str], spots: Array, others: Array) -> list[str]:
-    """What the methods of finding the focal spot leave open; spots (n, 3) of the one in use and of the other [mm]."""
-    out = []
+def _methods(names: Sequence[str], methods: Sequence[str], spots: Array, others: Array) -> tuple[list[str], float]:
+    """What the methods of finding the focal spot leave open, and the error of either per component [mm].
+
+    Spots (n, 3) of the one in use and of the other [mm]. Were both methods alike and independent, their distance in the
+    target's plane would have a median of √(4 ln 2) of that error.
+    """
+    out, error = [], 0.0
     second = [n for n, m in zip(names, methods, strict=True) if m != METHODS[0]]
     if second:
         which = f"any of the {len(names)} recordings" if len(second) == len(names) else ", ".join(second)
         out.append(f"There is no spot of {METHODS[0]} in {which}; that of {METHODS[1]} is used.")
     apart = np.linalg.norm(spots - others, axis=1)
-    both = np.isfinite(apart)
-    if both.any():
+    both = apart[np.isfinite(apart)]
+    if len(both):
+        error = float(np.median(both) / np.sqrt(4 * np.log(2)))
         out.append(
-            f"{METHODS[0]} and {METHODS[1]} find spots {np.sqrt(np.mean(apart[both] ** 2)):.3g} mm apart (rms of "
-            f"{both.sum()} recordings; median {np.median(apart[both]):.3g} mm); that of {METHODS[0]} is used."
+            f"{METHODS[0]} and {METHODS[1]} find spots {np.sqrt(np.mean(both**2)):.3g} mm apart (rms of {len(both)} "
+            f"recordings; median {np.median(both):.3g} mm); that of {METHODS[0]} is used, and errors are taken to be "
+            f"{error:.3g} mm in each component at least."
         )
-    return out
+    return out, error
 
 
 def heliostat_of(folder: Path) -> Path:

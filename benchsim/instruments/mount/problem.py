@@ -179,7 +179,7 @@ def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attache
     kept = replace(session, records=session.records.chosen(keep))
     if judged.aside and any(e.name == "change-point" for e in catalogue):
         catalogue = [e if e.name != "change-point" else _fewer(e, len(keep)) for e in catalogue]
-    sigma = max(judged.sigma, FAINTEST[session.mount.unit])
+    sigma = max(judged.sigma, faintest(session))
     predict = predicted(kept, catalogue)
     predict = replace(predict, drift=sigma * shared(session.mount, kept.records))
     problem = problem_of(predict, catalogue, sigma)
@@ -188,6 +188,16 @@ def _finish(session: Session, catalogue: list[Effect], judged: Outlying, attache
         problem = replace(problem, attachments=attachments(problem, predict))
     problem = replace(problem, next_recordings=Next(problem, predict, sigma))
     return Built(problem, kept, tuple(names[k] for k in judged.aside), sigma, ())
+
+
+def faintest(session: Session) -> float:
+    """Errors of a record, per component, that are not believed to be smaller, in the mount's unit: `FAINTEST`, or what
+    two ways of finding a spot show."""
+    mount, records = session.mount, session.records
+    if mount.observes == "sky":
+        return FAINTEST[mount.unit]
+    distance = float(np.median(np.linalg.norm(records.spot - mount.position, axis=1)))
+    return max(FAINTEST[mount.unit], records.spot_sigma / distance / UNITS[mount.unit])
 
 
 def _fewer(effect: Effect, count: int) -> Effect:

@@ -120,6 +120,8 @@ class Records:
         Names of the targets; empty for the sky.
     when : (n,) array, optional
         Seconds since 1970-01-01 UTC; nan where nobody states it.
+    spot_sigma : float
+        Error of a spot per component, as two ways of finding it differ [mm]; 0 where there is but one.
     """
 
     names: tuple[str, ...]
@@ -128,6 +130,7 @@ class Records:
     spot: Array
     target: tuple[str, ...]
     when: Array | None = None
+    spot_sigma: float = 0.0
 
     def date(self, k: int) -> str:
         """Day of a record in UTC, as 2022-06-12; empty where nobody states it."""
@@ -145,6 +148,7 @@ class Records:
             self.spot[i],
             tuple(self.target[k] for k in i),
             None if self.when is None else self.when[i],
+            self.spot_sigma,
         )
 
 

@@ -204,7 +204,10 @@ def test_both_methods_of_finding_the_spot_are_compared(tmp_path):
     apart = [0.3, 0.4, -0.1]
     records = [changed(RECORD, [50.913392, 6.387827, 130.67 + d], "focal_spot", "HeliOS") for d in apart]
     records.append(changed(RECORD, None, "focal_spot", "HeliOS"))
-    (said,) = (r for r in paint.read(paint_folder(tmp_path, records=records)).remarks if "HeliOS" in r)
+    session = paint.read(paint_folder(tmp_path, records=records))
+    # Of two errors of s in each of two components the distance has a median of 2 √(ln 2) s.
+    assert session.records.spot_sigma == pytest.approx(300 / (2 * np.log(2) ** 0.5), rel=1e-3)
+    (said,) = (r for r in session.remarks if "HeliOS" in r)
     assert said.startswith(
         f"UTIS and HeliOS find spots {1e3 * np.sqrt(np.mean(np.square(apart))):.3g} mm apart (rms of 3 "
     )
