@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
-from benchsim.instruments.mount import misses, paint, shared_causes, wrong_days
+from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, wrong_days
 from benchsim.instruments.mount.records import UNITS, Session
 from benchsim.instruments.mount.shared_causes import Joint, Shared, Witness
 from benchsim.jobs import mount_diagnosis
@@ -254,7 +254,7 @@ def _listed(source: Path, tower: Path | None) -> list[Heliostat]:
 @threadpool_limits.wrap(limits=1)
 def witness_of(heliostat: Heliostat) -> Witness:
     """What one heliostat says of what the field shares."""
-    session = mount_diagnosis.distinct(paint.read(heliostat.folder, heliostat.tower))
+    session = witnesses.distinct(paint.read(heliostat.folder, heliostat.tower))
     return shared_causes.witness(heliostat.name, session, shared_causes.causes(session.mount, session.records))
 
 

@@ -18,7 +18,7 @@ from benchsim.bench.writing import write_text
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
-from benchsim.instruments.mount import effects, functions, shared_causes, solar, stated
+from benchsim.instruments.mount import effects, functions, shared_causes, solar, stated, witnesses
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session
@@ -263,7 +263,7 @@ def diagnose_session(
     if not np.isfinite(session.records.source).all():
         raise BenchsimError(f"{session.path}: a direction is not finite; mend the records")
     progress("looking for outlying records", 0.05)
-    session = distinct(session)
+    session = witnesses.distinct(session)
     known = [e for e in effects.candidates(session.mount, session.records) if e.name not in without]
     built = mount_problem.build(session, catalogue=known)
     found = diagnosis.diagnose(built.problem, lambda what, done: progress(what, 0.1 + 0.7 * done))
@@ -289,19 +289,6 @@ def diagnose_session(
     put = amended(session, built, found)
     fields = lawful(session, built, found)
     return MountDiagnosis(session, built, found, put, fields, amended_mounts.learnt(built, found, put, fields), folder)
-
-
-def distinct(session: Session) -> Session:
-    """A session whose records differ: one that was copied is one witness, not two."""
-    records = session.records
-    rows = np.column_stack([records.reading, records.source, np.nan_to_num(records.spot)])
-    first = np.sort(np.unique(rows, axis=0, return_index=True)[1])
-    if len(first) == len(rows):
-        return session
-    copies = [n for k, n in enumerate(records.names) if k not in set(first)]
-    listed = ", ".join(copies[:5]) + (f" and {len(copies) - 5} more" if len(copies) > 5 else "")
-    remark = f"Equal to an earlier record to the last digit, and left out: {listed}."
-    return replace(session, records=records.chosen(first), remarks=(*session.remarks, remark))
 
 
 def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:

@@ -94,6 +94,28 @@ def test_a_mount_that_was_knocked_half_way_is_told_from_wrong_records():
     assert not found.built.aside
 
 
+def test_a_star_taken_again_and_again_is_one_witness():
+    """Rationale: repeats share the errors of the moment; taken for witnesses they would make a name out of one error.
+
+    Set-up: a night with a tilt, whose star 13 was taken 25 times in a row with errors of its own of 0.1 arcsec.
+    Expectation: verdict, names and probabilities are those of the night without the repeats, and it is said.
+    """
+    once = night(7, AN=9.0, AW=-15.0)
+    order = np.sort([*range(40), *[12] * 24])
+    again = replace(once, records=once.records.chosen(order))
+    star, off = again.records.source.copy(), np.random.default_rng(1).standard_normal((64, 3))
+    repeat = np.flatnonzero(order == 12)[1:]
+    star[repeat] += 0.1 * ARCSEC * off[repeat]
+    names = tuple(f"record {k + 1}" for k in range(64))
+    found, alone = (
+        diagnose_session(s) for s in (replace(again, records=replace(again.records, names=names, source=star)), once)
+    )
+    assert "Within 0.5 deg of the star before" in " ".join(found.text().split())
+    assert found.diagnosis.verdict == alone.diagnosis.verdict
+    assert {f.name for f in found.diagnosis.effects} == {"axis-tilt"}
+    assert found.diagnosis.probability == pytest.approx(alone.diagnosis.probability, rel=1e-6)
+
+
 def test_a_spell_that_the_mount_came_back_from_is_set_aside_with_its_dates():
     """Five stars in a row of forty are 60 arcsec off, those after them are as before: no change, and no name."""
     session = night(4)
