@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +76,7 @@ class Context:
     scales: Array
     weights: Array
 
-    @property
+    @cached_property
     def logdet(self) -> float:
         """ln of the determinant of the covariances."""
         return float(2 * sum(np.log(np.diag(low)).sum() for low in self.lower))

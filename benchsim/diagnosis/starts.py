@@ -34,7 +34,8 @@ SIZES = (0.25, 0.5, 1.0, 2.0)
 AMPLITUDES = np.concatenate([-np.geomspace(2.5, 0.02, 12), [0.0], np.geomspace(0.02, 2.5, 12)])
 """Prior sigmas at which that curve is looked at, before `POLISHED` steps to each of its minima."""
 
-POLISHED = 6
+POLISHED, PARTS = 6, (1.0, 0.3, 0.1)
+"""Steps, and the parts of one that are tried."""
 
 
 @dataclass(frozen=True)
@@ -159,14 +160,15 @@ def places(s: Search, about: Solved, names: Sequence[str]) -> dict[str, list[Pla
     m = linear.marginal(lin, np.column_stack([s.white[:, at], s.bends[:, at]]), about.fit.setting_scale)
     first = 0
     for name in names:
-        effect, found = s.catalogue.effects[name], []
-        shapes = evidence.shapes(effect)
-        for node in s.catalogue.nodes[name]:
-            own = np.arange(first, first + len(node.columns))
-            pair, first = np.concatenate([own, len(at) + own]), first + len(own)
-            many = valleys(effect, m.gram[np.ix_(pair, pair)], m.projection[pair])
-            shape = np.array([node.shape[p.name] for p in shapes])
-            found.append([Place(gain + node.log_weight, q, shape) for gain, q in many])
+        effect, nodes = s.catalogue.effects[name], s.catalogue.nodes[name]
+        shapes, k = evidence.shapes(effect), len(nodes[0].columns)
+        own = first + np.arange(k * len(nodes)).reshape(len(nodes), k)
+        pair, first = np.concatenate([own, len(at) + own], axis=1), first + own.size
+        each = valleys(effect, m.gram[pair[:, :, None], pair[:, None, :]], m.projection[pair])
+        found = [
+            [Place(gain + node.log_weight, q, np.array([node.shape[p.name] for p in shapes])) for gain, q in many]
+            for node, many in zip(nodes, each, strict=True)
+        ]
         if shapes:
             # Of a grid of places those that are better than all about them with the same sign: beside a place the
             # other sign imitates what is there, and no fit leads from one to the other.
@@ -181,50 +183,58 @@ def places(s: Search, about: Solved, names: Sequence[str]) -> dict[str, list[Pla
     return out
 
 
-def valleys(effect: Effect, gram: Array, projection: Array) -> list[tuple[float, Array]]:
-    """Gain and amplitudes (fit space) of an effect's minima beside a fit."""
-    own = evidence.amplitudes(effect)
+def valleys(effect: Effect, gram: Array, projection: Array) -> list[list[tuple[float, Array]]]:
+    """Gain and amplitudes (fit space) of an effect's minima beside a fit, at each of its places, the best first.
+
+    Products of the columns by q and by ½ q² are (m, 2 k, 2 k), of those with the residual (m, 2 k).
+    """
+    own, m = evidence.amplitudes(effect), len(gram)
     k = len(own)
     if effect.whole:
-        return [(0.0, np.asarray(np.ones(k)))]
+        return [[(0.0, np.ones(k))] for _ in range(m)]
     sigma, power = np.array([a.sigma for a in own]), np.array([a.power for a in own])
-    unit = sigma**power
+    unit, sided = sigma**power, np.array([bool(evidence.kind(a)) for a in own])
     if k > 2:
-        q = np.linalg.solve(gram[:k, :k] + np.diag(unit**-2.0), projection[:k])
-        q = np.array([max(x, 0.1 * u) if evidence.kind(a) else x for x, a, u in zip(q, own, unit, strict=True)])
-        return [(float(0.5 * projection[:k] @ q), np.asarray(q, float))]
-    axes = [AMPLITUDES[AMPLITUDES >= 0] if evidence.kind(a) else AMPLITUDES for a in own]
-    low = np.array([0.0 if evidence.kind(a) else -np.inf for a in own])
+        q = np.linalg.solve(gram[:, :k, :k] + np.diag(unit**-2.0), projection[:, :k, None])[..., 0]
+        q = np.where(sided, np.maximum(q, 0.1 * unit), q)
+        return [[(float(0.5 * p[:k] @ x), x)] for p, x in zip(projection, q, strict=True)]
+    axes = [AMPLITUDES[AMPLITUDES >= 0] if one else AMPLITUDES for one in sided]
 
     def answer(value: Array) -> Array:
         q = (value * sigma) ** power
         return np.concatenate([q, 0.5 * q**2], axis=-1)
 
-    def cost(value: Array) -> Array:
+    def cost(value: Array, gram: Array, projection: Array) -> Array:
         w = answer(value)
-        return np.asarray(0.5 * np.einsum("...i,ij,...j", w, gram, w) - w @ projection + 0.5 * (value**2).sum(axis=-1))
+        bent = 0.5 * np.einsum("...ij,...j->...i", gram, w) - projection
+        return np.asarray((bent * w).sum(axis=-1) + 0.5 * (value**2).sum(axis=-1))
 
-    def slopes(value: Array) -> Array:
-        rise: Array = np.vstack([np.eye(k), np.diag((value * sigma) ** power)])
-        return np.asarray(rise * (unit * np.where(power == 2, 2 * value, 1.0)))
+    def curved(value: Array, gram: Array) -> tuple[Array, Array]:
+        rise = unit * np.where(power == 2, 2 * value, 1.0)
+        slope = rise[:, None, :] * np.concatenate(
+            [np.broadcast_to(np.eye(k), (len(value), k, k)), ((value * sigma) ** power)[:, :, None] * np.eye(k)], axis=1
+        )
+        return slope, slope.transpose(0, 2, 1) @ gram @ slope + np.eye(k)
 
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    height = cost(mesh)
-    out: list[tuple[float, Array]] = []
-    for i in np.argwhere(height == minimum_filter(height, 3, mode="nearest")):
-        value = mesh[tuple(i)]
-        for _ in range(POLISHED):
-            slope = slopes(value)
-            force = slope.T @ (projection - gram @ answer(value)) - value
-            step = np.linalg.solve(slope.T @ gram @ slope + np.eye(k), force)
-            tried = [np.maximum(value + part * step, low) for part in (1.0, 0.3, 0.1)]
-            best = min(tried, key=lambda v: float(cost(v)))
-            if not cost(best) < cost(value):
-                break
-            value = best
-        slope = slopes(value)
-        gain = -float(cost(value)) - 0.5 * float(np.linalg.slogdet(slope.T @ gram @ slope + np.eye(k))[1])
-        # One-sided effects begin off their boundary, where a derivative may be of the other side.
-        start = np.where(low == 0, np.maximum(value, 0.1), value) * sigma
-        out.append((gain, start**power))
-    return sorted(out, key=lambda x: -x[0])
+    height = cost(mesh, *(np.expand_dims(x, tuple(range(1, k + 1))) for x in (gram, projection)))
+    least = np.argwhere(height == minimum_filter(height, (1, *[3] * k), mode="nearest"))
+    node, value = least[:, 0], mesh[tuple(least[:, 1:].T)]
+    gram, projection = gram[node], projection[node]
+    moves, now = np.ones(len(node), bool), cost(value, gram, projection)
+    for _ in range(POLISHED):
+        slope, curve = curved(value, gram)
+        miss = projection - np.einsum("mij,mj->mi", gram, answer(value))
+        step = np.linalg.solve(curve, (np.einsum("mik,mi->mk", slope, miss) - value)[..., None])[..., 0]
+        tried = np.array([np.where(sided, np.maximum(v, 0.0), v) for v in (value + part * step for part in PARTS)])
+        costs = cost(tried, gram, projection)
+        best = (costs.argmin(axis=0), np.arange(len(node)))
+        moves &= costs[best] < now
+        value, now = np.where(moves[:, None], tried[best], value), np.where(moves, costs[best], now)
+    gain = -now - 0.5 * np.linalg.slogdet(curved(value, gram)[1])[1]
+    # One-sided effects begin off their boundary, where a derivative may be of the other side.
+    q = (np.where(sided, np.maximum(value, 0.1), value) * sigma) ** power
+    out: list[list[tuple[float, Array]]] = [[] for _ in range(m)]
+    for i in np.argsort(-gain, kind="stable"):
+        out[node[i]].append((float(gain[i]), q[i]))
+    return out
