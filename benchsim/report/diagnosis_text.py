@@ -123,6 +123,11 @@ def percent(p: float) -> str:
     return "below 0.01 %" if p < 1e-4 else f"{100 * p:.4g} %"
 
 
+def together(p: float) -> str:
+    """The probability of a class. What is stated may be what predicts best though evidence alone favours others."""
+    return f"together {percent(p)}" + (", other sets more by evidence alone" if p < 0.5 else "")
+
+
 def odds(margin: float) -> str:
     """A difference of ln Z as odds."""
     if margin > log(1e6):
@@ -174,7 +179,7 @@ def _found(f: Found, words: Vocabulary) -> str:
 def _classes(d: Diagnosis, about: About) -> Iterator[str]:
     known = {e.name: e for e in about.catalogue}
     for c in d.classes:
-        lines = [f"One of these {len(c.members)}, together {percent(c.probability)}; the most probable first:"]
+        lines = [f"One of these {len(c.members)}, {together(c.probability)}; the most probable first:"]
         for member in c.members:
             if not member:
                 lines.append("  - nothing else" if d.effects or len(d.classes) > 1 else "  - nothing")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from datetime import date
 from math import log10
 from typing import Any
 
@@ -42,7 +43,9 @@ def shown(field: Mapping[str, Any]) -> dict[str, Any]:
         ("Causes, the commonest first", plan(rows, [_hue(r, hues) for r in rows])),
     ]
     if changed:
-        plans.append(("Changed on the way", plan(rows, [HUES[1] if r["changed_at"] else NOTHING for r in rows])))
+        dates = sorted(r["changed_on"] for r in changed if r["changed_on"])
+        told = f", from {dates[0]} (dark) to {dates[-1]} (light)" if dates else ""
+        plans.append((f"Changed on the way{told}", plan(rows, [_since(r, dates) for r in rows])))
     return {
         "field": field,
         "rows": rows,
@@ -69,6 +72,14 @@ def _edges(values: Sequence[float]) -> list[float]:
 
 def _shade(miss: float, edges: Sequence[float]) -> str:
     return SHADES[max(k for k in range(len(SHADES)) if k == 0 or miss >= edges[k])]
+
+
+def _since(row: Mapping[str, Any], dates: Sequence[str]) -> str:
+    """Of the day of a heliostat's change among those of all."""
+    if not row["changed_at"] or not row["changed_on"]:
+        return HUES[1] if row["changed_at"] else NOTHING
+    first, day, last = (date.fromisoformat(d).toordinal() for d in (dates[0], row["changed_on"], dates[-1]))
+    return SHADES[(day - first) * (len(SHADES) - 1) // max(last - first, 1)]
 
 
 def _hue(row: Mapping[str, Any], hues: Mapping[str, str]) -> str:
@@ -105,6 +116,7 @@ def plan(rows: Sequence[Mapping[str, Any]], colours: Sequence[str]) -> Markup:
             f"{row['id']}: {', '.join(row['causes']) or row['verdict']}; {row['miss_before_mrad']:.2f} mrad as stated, "
         )
         said += f"{row['miss_after_mrad']:.2f} with what was found"
+        said += f"; changed {row['changed_on'] or 'at ' + row['changed_at']}" if row["changed_at"] else ""
         parts.append(
             f'<a href="{escape(row["page"])}"><circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="{colour}">'
             f"<title>{escape(said)}</title></circle></a>"

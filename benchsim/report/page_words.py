@@ -18,6 +18,7 @@ from benchsim.report.diagnosis_text import (
     rounded,
     several,
     shown_text,
+    together,
     unit_text,
 )
 from benchsim.report.vocabulary import BENCH, Vocabulary, of
@@ -223,6 +224,7 @@ def _separation(s: Json) -> str:
 FILTERS: Mapping[str, Callable[..., Any]] = {
     "confidence": CONFIDENCE.__getitem__,
     "percent": percent,
+    "together": together,
     "chance": chance,
     "size": _size,
     "unit": unit_text,

@@ -11,7 +11,8 @@ from test_diagnosing import night
 from test_readers import ACTUATOR, HELIOSTAT, RECORD, TOWER, changed, paint_folder, without, write
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.instruments.mount import paint, pointing, stated
+from benchsim.diagnosis.result import Found, Size
+from benchsim.instruments.mount import paint, pointing, stated, witnesses
 from benchsim.instruments.mount.records import toward
 from benchsim.jobs import diagnose
 from benchsim.jobs.mount_diagnosis import diagnose_session
@@ -194,6 +195,17 @@ def test_records_that_agree_exactly_are_diagnosed_in_silence():
         found = diagnose_session(replace(session, records=replace(session.records, source=star, reading=reading)))
     assert not found.diagnosis.effects
     assert "nearly one place" in found.text()
+
+
+@pytest.mark.parametrize(("mm", "confidence"), [(300.0, "named"), (-2400.0, "provisional")])
+def test_a_place_that_no_survey_misses_by_needs_a_second_witness(mm, confidence):
+    """A heliostat 0.3 m beside its place is named; 2.4 m are more than any plant is surveyed wrongly by."""
+    sizes = {"mirror_e": Size(mm, 30.0, "mm"), "mirror_n": Size(10.0, 20.0, "mm")}
+    named = Found("mirror-position", "mount", 1.0, "named", sizes, "It stands elsewhere.", "Survey it.")
+    found, said = witnesses.doubted(replace(diagnose_session(night(1)).diagnosis, effects=(named,), verdict="named"))
+    assert found.effects == (replace(named, confidence=confidence),)
+    assert bool(said) == (confidence == "provisional") == (found.verdict == "unexplained")
+    assert not said or "2.4 m: mirror-position needs a second witness" in said[0]
 
 
 @real
