@@ -106,11 +106,11 @@ def _on_texture(texture: BoardTexture, light: ScreenMap, values: Image) -> Image
     return out
 
 
-def _room(screen: Screen, texture: BoardTexture) -> tuple[Image, Image]:
+def _room(texture: BoardTexture) -> tuple[Image, Image]:
     """Room light along z (nz, 1) and along y (1, ny); their product, 1 at the centre."""
     nz, ny = texture.values.shape
-    y = ((texture.y0 + texture.pitch * np.arange(ny)) * 2 / screen.size[0]).astype(np.float32)[None, :]
-    z = ((texture.z0 + texture.pitch * np.arange(nz)) * 2 / screen.size[1]).astype(np.float32)[:, None]
+    y = np.linspace(-1, 1, ny, dtype=np.float32)[None, :]
+    z = np.linspace(-1, 1, nz, dtype=np.float32)[:, None]
     return 1 + np.float32(ROOM_SLOPE[1]) * z, 1 + np.float32(ROOM_SLOPE[0]) * y
 
 
@@ -269,7 +269,7 @@ def photograph(
         Of the recording: those of the board's shape and turn (`surface`), of its print (`board`), of lens and read-out
         (`lens`) are shown, the others belong to the light or the sensor.
     lit_only : bool
-        Show the laser's trace alone, for a tenth of the memory: all else is the wall.
+        Show the board only as far as the laser lights it, which is quicker; the room's light is none to be used then.
 
     Returns
     -------
@@ -298,7 +298,7 @@ def photograph(
         light = _lit(light)
         within = light.y, light.z
     texture = reflectance(screen, pitch, outside=WALL, lay=printed(effects, fields), within=within)
-    room_z, room_y = _room(screen, texture)
+    room_z, room_y = _room(texture)
     white = texture.values.astype(np.float32)
     room = _bitmap(white * room_z * room_y)
     laser = None
