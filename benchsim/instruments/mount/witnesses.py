@@ -59,5 +59,4 @@ def doubted(d: Diagnosis) -> tuple[Diagnosis, list[str]]:
                 "neighbours that use the same target (benchsim field); until then it stands for what acts alike."
             )
         out.append(f)
-    verdict = "unexplained" if said and d.verdict == "named" else d.verdict
-    return replace(d, effects=tuple(out), verdict=verdict), said
+    return replace(d, effects=tuple(out)), said
