@@ -17,7 +17,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Exposure, Recording
 from benchsim.instruments.bench.fitted_simulation import State
 from benchsim.instruments.bench.observed import Observed
-from benchsim.instruments.bench.pixels import WIDTHS, Pixels, about_trace, free_board
+from benchsim.instruments.bench.pixels import WIDTHS, Pixels, about_trace
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trace.speckle import Whitener
 
@@ -188,8 +188,7 @@ def compare(
             last = show(new, exposure)
             progress(f"rendering {exposure.name} again", (count + 0.5) / len(observed))
             first = last if old is new else show(old, exposure)
-            view = view or about_trace(recording, exposure, o, free_board(recording, o))
-            done.append(compare_exposure(exposure.name, view, first, last))
+            done.append(compare_exposure(exposure.name, view or about_trace(recording, o), first, last))
         except BenchsimError as error:
             lost.append(f"{exposure.name}: not compared in pixels: {error}")
     if not done:

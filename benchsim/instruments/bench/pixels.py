@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, gaussian_filter, maximum_filter
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.model import Exposure, Recording
+from benchsim.bench.model import Recording
 from benchsim.instruments.bench.observed import Observed
 from benchsim.rays import project
 from benchsim.trace.band import Band, band_along, smooth_curve
@@ -72,24 +72,21 @@ class Pixels:
         return _background_terms(self.t, self.n, (0.0, float(self.t.max())))
 
 
-def about_trace(recording: Recording, exposure: Exposure, observed: Observed, free: Mask) -> Pixels:
-    """Pixels about the trace of an exposure.
+def about_trace(recording: Recording, observed: Observed) -> Pixels:
+    """Pixels about the trace of an exposure, those within four pixels of what is not free board left out.
 
     Parameters
     ----------
     recording : Recording
-    exposure : Exposure
     observed : Observed
         Where the trace is in the picture.
-    free : (rows, columns) bool
-        Pixels that see free board; those within four pixels of others are left out.
 
     Raises
     ------
     BenchsimError
         If its light is not linear, its width unknown, or too few pixels are free.
     """
-    photograph, dark = read_photographs(recording, exposure)
+    photograph, dark = read_photographs(recording, recording.exposures[observed.index])
     if not photograph.linear:
         raise BenchsimError("its gamma is unknown, so that light cannot be compared")
     if not len(observed.width2):
@@ -109,7 +106,7 @@ def about_trace(recording: Recording, exposure: Exposure, observed: Observed, fr
     band = band_along(curve, span, half + FLANK, light.shape)
     if band is None:
         raise BenchsimError("its trace lies outside of the picture; mend the camera")
-    good = binary_erosion(free, np.ones((9, 9), bool), border_value=0)
+    good = binary_erosion(free_board(recording, observed), np.ones((9, 9), bool), border_value=0)
     good &= ~maximum_filter(photograph.saturated, 3)
     use = band.inside & band.take(good)
     row = np.nonzero(use)[0]
@@ -130,7 +127,7 @@ def about_trace(recording: Recording, exposure: Exposure, observed: Observed, fr
 def pixels_of(recording: Recording, observed: Observed) -> Pixels | None:
     """Pixels about the trace of an exposure's photograph; None if its gamma is unknown or too few are free."""
     try:
-        return about_trace(recording, recording.exposures[observed.index], observed, free_board(recording, observed))
+        return about_trace(recording, observed)
     except BenchsimError:
         return None
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis.result import Diagnosis
+from benchsim.instruments.mount.problem import FEWEST
 from benchsim.instruments.mount.records import Session
 
 SURVEYED, FAR_MM = ("mirror-position", "target-position"), 1000.0
@@ -32,17 +33,17 @@ def distinct(session: Session) -> Session:
         for k in own[1:]:
             if records.source[k] @ records.source[first[-1]] < np.cos(np.radians(AGAIN_DEG)):
                 first.append(k)
-        names = tuple(records.names[k] for k in own)
-        kept = np.searchsorted(own, first)
-        remarks += _left_out(
-            names, kept, f"Within {AGAIN_DEG:g} deg of the star before, no witness of its own, left out"
-        )
-        own = np.array(first, int)
+        # Where next to nothing would be left, all are kept: that they lie at one place is said then.
+        if len(first) >= FEWEST:
+            names, kept = tuple(records.names[k] for k in own), np.searchsorted(own, first)
+            why = f"Within {AGAIN_DEG:g} deg of the star before, no witness of its own, left out"
+            remarks += _left_out(names, kept, why)
+            own = np.array(first, int)
     return replace(session, records=records.chosen(own), remarks=tuple(remarks))
 
 
 def _left_out(names: Sequence[str], kept: NDArray[np.intp], why: str) -> list[str]:
-    gone = [n for k, n in enumerate(names) if k not in set(kept.tolist())]
+    gone = np.delete(np.array(names, object), kept).tolist()
     more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
     return [f"{why}: {', '.join(gone[:5])}{more}."] if gone else []
 

@@ -186,10 +186,10 @@ def test_from_few_clean_records_little_is_said():
 
 
 def test_records_that_agree_exactly_are_diagnosed_in_silence():
-    """All at nearly one place of the sky, and as read: nothing is left over, yet no warning and no name."""
+    """All at one place of the sky and equal but for their names' order: singular, yet no warning and no name."""
     session = night(10, n=8)
-    reading = np.column_stack([1.0 + np.radians(0.8) * np.arange(8), np.full(8, 0.7)])
-    star = toward(*reading.T)
+    star = toward(np.full(8, 1.0), np.full(8, 0.7))
+    reading = np.column_stack([1.0 + 1e-9 * np.arange(8), np.full(8, 0.7)])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = diagnose_session(replace(session, records=replace(session.records, source=star, reading=reading)))
