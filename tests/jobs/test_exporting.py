@@ -183,10 +183,12 @@ def test_exports_that_cannot_be_are_one_sentence(heliostat):
         export(heliostat / "t.toml", heliostat / "x.json")
 
 
-def test_artist_itself_reads_it(heliostat):
+def test_artist_itself_reads_it(heliostat, monkeypatch):
     """artist-csp 2.0: its reader takes the file, and its rigid body, given the tilts that its reader leaves out and the
     first angle from the flat mirror, has the normal of the heliostat made by hand to what single precision leaves.
     Canting is left out: the rigid body does not use ``initial_orientation``."""
+    # It opens a log where it is imported.
+    monkeypatch.chdir(heliostat)
     pytest.importorskip("artist", reason="artist-csp is not installed (extra: peers)")
     import torch
     from artist.field import RigidBody
