@@ -178,12 +178,28 @@ def diagnose(
     _do(jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures, tower=tower)
 
 
-Scheduler = Annotated[
-    str | None, typer.Option(help="Address of a running dask scheduler; its workers must see the same folders.")
+SchedulerAt = Annotated[
+    str | None,
+    typer.Option("--scheduler", help="tls:// address of a dask scheduler whose workers see these folders."),
 ]
+Tls = Annotated[
+    tuple[Path, Path, Path] | None,
+    typer.Option(metavar="CA CERTIFICATE KEY", help="PEM files for the scheduler; default Dask's configuration."),
+]
+Insecure = Annotated[bool, typer.Option("--insecure", help="Let the scheduler do without TLS.")]
 Processes = Annotated[
     int | None, typer.Option("--workers", min=0, help="Local processes; default one per core; 0: in this one.")
 ]
+
+
+def _scheduler(address: str | None, tls: tuple[Path, Path, Path] | None, insecure: bool) -> Any:
+    from benchsim.jobs.cluster import Scheduler
+
+    if address is None and (tls or insecure):
+        raise typer.BadParameter(
+            "give --scheduler too", param_hint="--tls" if tls else "--insecure"
+        )
+    return None if address is None else Scheduler(address, tls, insecure)
 
 
 @app.command()
@@ -191,7 +207,9 @@ def field(
     heliostats: Annotated[Path, typer.Argument(help="Folder of heliostats' PAINT folders, or a CSV with id and path.")],
     output: Output = None,
     tower: Tower = None,
-    scheduler: Scheduler = None,
+    scheduler: SchedulerAt = None,
+    tls: Tls = None,
+    insecure: Insecure = False,
     workers: Processes = None,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw every heliostat's.")] = False,
     json: Json = False,
@@ -200,8 +218,8 @@ def field(
     from benchsim import jobs
 
     _do(
-        jobs.field, json, source=heliostats, output=output, tower=tower, scheduler=scheduler, workers=workers,
-        draw=pictures,
+        jobs.field, json, source=heliostats, output=output, tower=tower, draw=pictures, workers=workers,
+        scheduler=_scheduler(scheduler, tls, insecure),
     )  # fmt: skip
 
 
@@ -356,7 +374,9 @@ def trial_begin(
     seed: TrialSeed = None,
     shrink: Shrink = 2,
     zero: Zero = False,
-    scheduler: Scheduler = None,
+    scheduler: SchedulerAt = None,
+    tls: Tls = None,
+    insecure: Insecure = False,
     workers: Processes = None,
     json: Json = False,
 ) -> None:
@@ -365,8 +385,8 @@ def trial_begin(
 
     job = trial.run if command.info_name == "run" else trial.conceal
     _do(
-        job, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, scheduler=scheduler,
-        workers=workers,
+        job, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, workers=workers,
+        scheduler=_scheduler(scheduler, tls, insecure),
     )  # fmt: skip
 
 
@@ -377,7 +397,9 @@ def trial_judge(
     again: Annotated[
         list[str] | None, typer.Option(help="Case to judge once more, recorded as such; may be repeated.")
     ] = None,
-    scheduler: Scheduler = None,
+    scheduler: SchedulerAt = None,
+    tls: Tls = None,
+    insecure: Insecure = False,
     workers: Processes = None,
     json: Json = False,
 ) -> None:
@@ -385,8 +407,8 @@ def trial_judge(
     from benchsim import trial
 
     _do(
-        trial.judge, json, recordings=recordings, output=output, again=again or [], scheduler=scheduler,
-        workers=workers,
+        trial.judge, json, recordings=recordings, output=output, again=again or [], workers=workers,
+        scheduler=_scheduler(scheduler, tls, insecure),
     )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, 
 from benchsim.instruments.mount.records import UNITS, Session
 from benchsim.instruments.mount.shared_causes import Joint, Shared, Witness
 from benchsim.jobs import mount_diagnosis
-from benchsim.jobs.cluster import cluster
+from benchsim.jobs.cluster import Scheduler, cluster
 from benchsim.jobs.mount_diagnosis import MountDiagnosis
 from benchsim.jobs.output import begun_folder, default_folder
 from benchsim.jobs.progress import Progress, silent
@@ -133,7 +133,7 @@ def field(
     output: Path | str | None = None,
     *,
     tower: Path | None = None,
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
     workers: int | None = None,
     draw: bool = False,
     progress: Progress = silent,
@@ -149,8 +149,8 @@ def field(
         Default ``./NAME-field/``. What is finished in it is kept.
     tower : Path, optional
         Tower file of all heliostats; default it is looked for beside and above each.
-    scheduler : str, optional
-        Address of a Dask scheduler, whose workers must see the same folders; default processes of this machine.
+    scheduler : Scheduler, optional
+        Default processes of this machine.
     workers : int, optional
         Of this machine; default one per core, 0: everything in this process.
     draw : bool
