@@ -21,6 +21,7 @@ app = typer.Typer(
 
 Output = Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default ./NAME-COMMAND/.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the machine-readable result.")]
+Outside = Annotated[bool, typer.Option("--allow-outside", help="Let the files name others outside of their folder.")]
 Variant = Annotated[str | None, typer.Option(help="Mitsuba's back end; default llvm_ad_mono, cuda_ad_mono with a GPU.")]
 
 
@@ -77,13 +78,14 @@ def run(
         Path | None, typer.Argument(help="Bench file, or recording folder; default: both settings of Fig. 7.")
     ] = None,
     output: Output = None,
+    allow_outside: Outside = False,
     json: Json = False,
     variant: Variant = None,
 ) -> None:
     """The main job: render (or take the recording's images), fit, validate, draw."""
     from benchsim import jobs
 
-    _do(jobs.run, json, file=file, output=output, variant=variant)
+    _do(jobs.run, json, file=file, output=output, variant=variant, allow_outside=allow_outside)
 
 
 @app.command()
@@ -107,6 +109,7 @@ def render(
     phone: Annotated[
         bool, typer.Option("--phone", help="Photographs alone, of bench and board, as a phone makes them.")
     ] = False,
+    allow_outside: Outside = False,
     json: Json = False,
     variant: Variant = None,
 ) -> None:
@@ -116,6 +119,7 @@ def render(
     _do(
         jobs.render, json, bench=bench, output=output, seed=seed, effects=effect or [], noise=noise,
         setting_errors=setting_errors, conceal=conceal, phone=phone, variant=variant,
+        allow_outside=allow_outside,
     )  # fmt: skip
 
 
@@ -126,24 +130,26 @@ def fit(
     pixels: Annotated[
         bool, typer.Option("--pixels", help="Fit a single image in pixels, without a recording file.")
     ] = False,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Photographs → marks → trace with error bars → conics."""
     from benchsim import jobs
 
-    _do(jobs.fit, json, source=source, output=output, pixels=pixels)
+    _do(jobs.fit, json, source=source, output=output, pixels=pixels, allow_outside=allow_outside)
 
 
 @app.command()
 def validate(
     recording: Annotated[Path, typer.Argument(help="Recording folder.")],
     output: Output = None,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Compare the traces with the vector model, in mm on the screen and mrad of mirror normal."""
     from benchsim import jobs
 
-    _do(jobs.validate, json, recording=recording, output=output)
+    _do(jobs.validate, json, recording=recording, output=output, allow_outside=allow_outside)
 
 
 class Against(StrEnum):
@@ -170,12 +176,16 @@ def diagnose(
     against: InDoubt = Against.bench,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw what was found.")] = True,
     tower: Tower = None,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Say what the simulation lacks: where, what, how large, and what to do; or what would have been seen."""
     from benchsim import jobs
 
-    _do(jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures, tower=tower)
+    _do(
+        jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures, tower=tower,
+        allow_outside=allow_outside,
+    )  # fmt: skip
 
 
 SchedulerAt = Annotated[
@@ -196,9 +206,7 @@ def _scheduler(address: str | None, tls: tuple[Path, Path, Path] | None, insecur
     from benchsim.jobs.cluster import Scheduler
 
     if address is None and (tls or insecure):
-        raise typer.BadParameter(
-            "give --scheduler too", param_hint="--tls" if tls else "--insecure"
-        )
+        raise typer.BadParameter("give --scheduler too", param_hint="--tls" if tls else "--insecure")
     return None if address is None else Scheduler(address, tls, insecure)
 
 
@@ -212,6 +220,7 @@ def field(
     insecure: Insecure = False,
     workers: Processes = None,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw every heliostat's.")] = False,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Diagnose every heliostat of a field, and what they share; one that was stopped goes on."""
@@ -219,7 +228,7 @@ def field(
 
     _do(
         jobs.field, json, source=heliostats, output=output, tower=tower, draw=pictures, workers=workers,
-        scheduler=_scheduler(scheduler, tls, insecure),
+        scheduler=_scheduler(scheduler, tls, insecure), allow_outside=allow_outside,
     )  # fmt: skip
 
 
@@ -288,12 +297,13 @@ def effects(
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default: none.")] = None,
     against: InDoubt = Against.bench,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """List the effects of the catalogue, or those that a recording could detect and tell apart."""
     from benchsim import jobs
 
-    _do(jobs.effects, json, recording=recording, output=output, against=against.value)
+    _do(jobs.effects, json, recording=recording, output=output, against=against.value, allow_outside=allow_outside)
 
 
 class Paper(StrEnum):
@@ -337,12 +347,13 @@ def report(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write; default report.html in the folder.")
     ] = None,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """One self-contained HTML file of a finished folder: verdict, photographs, residuals, probabilities."""
     from benchsim import jobs
 
-    _do(jobs.report, json, folder=folder, output=output)
+    _do(jobs.report, json, folder=folder, output=output, allow_outside=allow_outside)
 
 
 trial_app = typer.Typer(
@@ -488,12 +499,13 @@ def new(
 def check(
     recording: Annotated[Path, typer.Argument(help="Recording folder.")],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default: none.")] = None,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Say what a recording still lacks, and where it contradicts itself, before anything is fitted."""
     from benchsim import jobs
 
-    if not _do(jobs.check, json, recording=recording, output=output).usable:
+    if not _do(jobs.check, json, recording=recording, output=output, allow_outside=allow_outside).usable:
         raise typer.Exit(1)
 
 

@@ -34,6 +34,7 @@ from benchsim.bench.model import (
     Surface,
     Uncertainty,
 )
+from benchsim.bench.paths import inside
 from benchsim.bench.place import aim
 from benchsim.bench.writing import write
 
@@ -55,7 +56,7 @@ _TABLE_MODELS: dict[str, type[BaseModel]] = {
 }
 
 
-def read(path: str | Path, *, images: bool | None = None) -> Recording:
+def read(path: str | Path, *, images: bool | None = None, allow_outside: bool = False) -> Recording:
     """Read and check a recording folder, or a recording or bench file.
 
     Parameters
@@ -65,6 +66,8 @@ def read(path: str | Path, *, images: bool | None = None) -> Recording:
     images : bool, optional
         True: every exposure must name an image that exists. False: images are ignored (a bench to be rendered).
         Default: images are optional, those named must exist.
+    allow_outside : bool
+        Whether marks and images may lie outside of the file's folder, see `paths.inside`.
 
     Returns
     -------
@@ -86,8 +89,9 @@ def read(path: str | Path, *, images: bool | None = None) -> Recording:
         checked = schema.RecordingFile.model_validate(data)
     except ValidationError as error:
         raise BenchsimError(f"{file.name}: {_first_complaint(error)}") from None
-    recording = replace(_convert(checked, file), defaults_used=tuple(_defaults(checked)))
-    _check(recording, file, images)
+    marks = inside(file.parent, checked.screen.marks, f"{file.name}: screen.marks", allow_outside=allow_outside)
+    recording = replace(_convert(checked, file, marks), defaults_used=tuple(_defaults(checked)))
+    _check(recording, file, images, allow_outside)
     return recording
 
 
@@ -221,7 +225,7 @@ def _mend(kind: str, first: Any, value: Any) -> str:
     return f"{shown}: {first['msg'][0].lower()}{first['msg'][1:]}; mend that value"
 
 
-def _convert(f: schema.RecordingFile, file: Path) -> Recording:
+def _convert(f: schema.RecordingFile, file: Path, marks: Path) -> Recording:
     mrad, deg = 1e-3, math.pi / 180
     u = f.uncertainty
     if f.mirror.shape == "cylinder" and f.physics.facets and "facets" in f.physics.model_fields_set:
@@ -236,7 +240,7 @@ def _convert(f: schema.RecordingFile, file: Path) -> Recording:
             f.laser.incoherent_divergence_mrad * mrad,
         ),
         mirror=Mirror(f.mirror.shape, f.mirror.facets, f.mirror.diameter_mm, f.mirror.height_mm, f.mirror.stands_for),
-        screen=Screen(_pair(f.screen.size_mm), f.screen.reflectance, read_marks(file.parent / f.screen.marks)),
+        screen=Screen(_pair(f.screen.size_mm), f.screen.reflectance, read_marks(marks)),
         cameras={name: _camera(name, c) for name, c in f.cameras.items()},
         physics=physics,
         uncertainty=Uncertainty(
@@ -367,7 +371,7 @@ def _defaults(f: schema.RecordingFile) -> list[str]:
     return out
 
 
-def _check(recording: Recording, file: Path, images: bool | None) -> None:
+def _check(recording: Recording, file: Path, images: bool | None, allow_outside: bool) -> None:
     for name, camera in recording.cameras.items():
         key = f"{file.name}: cameras.{name}"
         if camera.saturation_level <= camera.black_level:
@@ -399,7 +403,7 @@ def _check(recording: Recording, file: Path, images: bool | None) -> None:
         if e.dark is not None and e.image is None:
             raise BenchsimError(f"{key}.dark: given without an image; add image")
         for kind in ("image", "dark"):
-            _check_image_path(getattr(e, kind), f"{key}.{kind}", recording.folder)
+            _check_image_path(getattr(e, kind), f"{key}.{kind}", recording.folder, allow_outside)
         if e.image is not None:
             if e.image in seen:
                 raise BenchsimError(f"{key}.image: '{e.image}' is already another exposure's; name each image once")
@@ -413,10 +417,10 @@ def _check_effects(recording: Recording, file: Path) -> None:
             raise BenchsimError(f"{file.name}: effects.{name}: empty; give its parameters or remove the table")
 
 
-def _check_image_path(name: str | None, key: str, folder: Path) -> None:
+def _check_image_path(name: str | None, key: str, folder: Path, allow_outside: bool) -> None:
     if name is None:
         return
-    path = folder / name
+    path = inside(folder, name, key, allow_outside=allow_outside)
     if not path.exists():
         raise BenchsimError(f"{key}: '{name}' is not there (looked in {folder}); add the file or mend the name")
     if not path.is_file():

@@ -110,6 +110,7 @@ def diagnose(
     against: str = "bench",
     pictures: bool = True,
     tower: Path | str | None = None,
+    allow_outside: bool = False,
     progress: Progress = silent,
 ) -> DiagnosisResult | MountDiagnosis:
     """Say what a simulation lacks, from settings and photographs alone; or from the recordings of a two-axis mount.
@@ -129,6 +130,8 @@ def diagnose(
         Whether to draw; without, the page shows no photographs either.
     tower : path, optional
         Tower file of PAINT recordings; default it is looked for in their folder and above.
+    allow_outside : bool
+        Whether marks and images may lie outside of the file's folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -152,7 +155,7 @@ def diagnose(
         place = None if tower is None else Path(tower)
         return mount_diagnosis.diagnose(source, output, tower=place, draw=pictures, progress=progress)
     folder = Path(output) if output is not None else default_folder(source, "diagnose")
-    checked = read(source, images=True)
+    checked = read(source, images=True, allow_outside=allow_outside)
     effects.check(checked)
     candidates.simulated(checked, against)
     options = {"against": against, "pictures": pictures}

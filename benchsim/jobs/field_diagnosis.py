@@ -23,6 +23,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.paths import inside
 from benchsim.bench.writing import write_text
 from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, wrong_days
 from benchsim.instruments.mount.records import UNITS, Session
@@ -136,6 +137,7 @@ def field(
     scheduler: Scheduler | None = None,
     workers: int | None = None,
     draw: bool = False,
+    allow_outside: bool = False,
     progress: Progress = silent,
 ) -> FieldDiagnosis:
     """Diagnose every heliostat of a field, and what they share.
@@ -155,6 +157,8 @@ def field(
         Of this machine; default one per core, 0: everything in this process.
     draw : bool
         Whether to draw pictures of every heliostat.
+    allow_outside : bool
+        Whether what a list names may lie outside of its folder.
     progress : callable
 
     Returns
@@ -168,7 +172,7 @@ def field(
     """
     source = Path(source)
     folder = Path(output) if output is not None else default_folder(source, "field")
-    everyone = heliostats(source, tower)
+    everyone = heliostats(source, tower, allow_outside)
     begun_folder(folder, "field", everyone[0].folder)
     lost: dict[str, str] = {}
     with cluster(scheduler, workers) as each:
@@ -216,10 +220,10 @@ def field(
     return found
 
 
-def heliostats(source: Path, tower: Path | None) -> list[Heliostat]:
+def heliostats(source: Path, tower: Path | None, allow_outside: bool = False) -> list[Heliostat]:
     """The heliostats of a folder or of a list."""
     if source.is_file():
-        return _listed(source, tower)
+        return _listed(source, tower, allow_outside)
     if not source.is_dir():
         raise BenchsimError(f"{source}: no such folder; name the folder that holds the heliostats' folders, or a list")
     inner = sorted(p for p in source.iterdir() if p.is_dir() and not p.name.startswith(".") and paint.recognises(p))
@@ -231,7 +235,7 @@ def heliostats(source: Path, tower: Path | None) -> list[Heliostat]:
     return [Heliostat(p.name, p, tower) for p in inner]
 
 
-def _listed(source: Path, tower: Path | None) -> list[Heliostat]:
+def _listed(source: Path, tower: Path | None, allow_outside: bool) -> list[Heliostat]:
     try:
         rows = list(csv.DictReader(io.StringIO(source.read_text(encoding="utf-8-sig"))))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -244,8 +248,11 @@ def _listed(source: Path, tower: Path | None) -> list[Heliostat]:
         name, own = row["id"].strip(), (row.get("tower") or "").strip()
         if name in out or Path(name).name != name or name.startswith("."):
             raise BenchsimError(f"{source}, line {number}: id: {name!r} is there twice or no name; mend it")
-        place = source.parent / row["path"].strip()
-        out[name] = Heliostat(name, place, source.parent / own if own else tower)
+        places = {
+            key: inside(source.parent, row[key].strip(), f"{source}, line {number}: {key}", allow_outside=allow_outside)
+            for key in ("path", *(("tower",) if own else ()))
+        }
+        out[name] = Heliostat(name, places["path"], places.get("tower", tower))
     if not out:
         raise BenchsimError(f"{source}: lists no heliostat; write a line for each, with id and path")
     return list(out.values())

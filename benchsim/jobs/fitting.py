@@ -132,7 +132,12 @@ def _in_pixels(value: Any) -> Any:
 
 
 def fit(
-    source: Path | str, output: Path | str | None = None, *, pixels: bool = False, progress: Progress = silent
+    source: Path | str,
+    output: Path | str | None = None,
+    *,
+    pixels: bool = False,
+    allow_outside: bool = False,
+    progress: Progress = silent,
 ) -> FitResult | PixelFit:
     """Extract the traces of a recording and fit conics; or, with ``pixels``, the ridge of one picture.
 
@@ -144,6 +149,8 @@ def fit(
         Default ``./NAME-fit/``.
     pixels : bool
         Fit a single image without a recording, in pixels.
+    allow_outside : bool
+        Whether marks and images may lie outside of the file's folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -165,7 +172,7 @@ def fit(
             f"{path.name}: one photograph alone has no scale and no lens; put it into a folder with a recording.toml "
             "(camera, laser, mirror position) and marks.csv, or fit it in pixels with --pixels"
         )
-    recording = read(path, images=True)
+    recording = read(path, images=True, allow_outside=allow_outside)
     with output_folder(folder, "fit", sources(recording), {}, recording.defaults_used) as staging:
         result = replace(fit_recording(recording, progress=progress), folder=folder)
         write_fit(result, staging)

@@ -18,9 +18,9 @@ from typing import Any
 import benchsim
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Recording
+from benchsim.bench.paths import STAMP
 from benchsim.bench.writing import permit, write_text
 
-STAMP = "benchsim.json"
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-image")
 
 

@@ -39,6 +39,7 @@ import tomlkit
 from tomlkit.exceptions import ParseError
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.paths import inside
 from benchsim.bench.writing import write_text
 from benchsim.instruments.mount import effects, functions, paint, pointing
 from benchsim.instruments.mount import problem as mount_problem
@@ -87,7 +88,7 @@ def read(path: Path, tower: Path | None = None) -> Session:
     named = data.get("recordings")
     if not isinstance(named, str):
         raise BenchsimError(f"{path}: recordings: {named!r} is no path; name a PAINT folder or a pointing file")
-    where = path.parent / named
+    where = inside(path.parent, named, f"{path}: recordings", allow_outside=True)
     if not where.exists() or (where.is_file() and where.suffix == ".toml"):
         raise BenchsimError(f"{path}: recordings: {where} does not exist or is no recording; correct the path")
     stated, found = data.get("tower"), data.get("effects", {})
@@ -95,7 +96,9 @@ def read(path: Path, tower: Path | None = None) -> Session:
         raise BenchsimError(f"{path}: tower: {stated!r} is no path; name the file of the tower")
     if not isinstance(found, dict) or not all(isinstance(v, dict) for v in found.values()):
         raise BenchsimError(f"{path}: effects: is no table of effects; write [effects.NAME] with a line per parameter")
-    session = read(where, tower or (path.parent / stated if stated is not None else None))
+    if stated is not None and tower is None:
+        tower = inside(path.parent, stated, f"{path}: tower", allow_outside=True)
+    session = read(where, tower)
     _check(path, session, found)
     session = replace(session, title=path.stem, path=path, files=(path, *session.files), effects=found)
     session = replace(session, fields=_functions(path, session, data.get("fields", {})))
@@ -118,7 +121,7 @@ def write(
     source, tower = session.path, None
     if session.path.suffix == ".toml":
         data = _toml(session.path)
-        source = session.path.parent / str(data["recordings"])
+        source = inside(session.path.parent, data["recordings"], f"{session.path}: recordings", allow_outside=True)
     if source.is_dir():
         tower = session.files[-1]
     document = tomlkit.document()
