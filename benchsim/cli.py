@@ -11,6 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from benchsim.bench.names import printable
+
 app = typer.Typer(
     help="A heliostat bench as software: render it, read it back, validate the vector model, diagnose what is missing.",
     no_args_is_help=True,
@@ -35,14 +37,14 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
-        yield lambda what, done: bar.update(task, description=what, completed=done)
+        yield lambda what, done: bar.update(task, description=printable(what), completed=done)
 
 
 def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
@@ -63,7 +65,7 @@ def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
 
         typer.echo(json.dumps(result.as_dict(), indent=1, allow_nan=False))
     else:
-        typer.echo(result.summary())
+        typer.echo(printable(result.summary(), breaks="\n"))
     return result
 
 

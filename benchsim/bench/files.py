@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +35,7 @@ from benchsim.bench.model import (
 )
 from benchsim.bench.paths import inside
 from benchsim.bench.place import aim
+from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write
 
 __all__ = ["UNFILLED", "complaints", "read", "sources", "write"]
@@ -80,7 +80,7 @@ def read(path: str | Path, *, images: bool | None = None, allow_outside: bool = 
         One sentence that names file, key and mend.
     """
     file = _toml_path(Path(path))
-    data = _load_toml(file)
+    data = load_toml(file)
     for table in data.get("exposure", []) if isinstance(data.get("exposure"), list) else []:
         if images is False and isinstance(table, dict):
             table.pop("image", None)
@@ -105,7 +105,7 @@ def complaints(path: str | Path) -> list[tuple[str, str]]:
     BenchsimError
         If there is no such file, or it is not TOML.
     """
-    data = _load_toml(_toml_path(Path(path)))
+    data = load_toml(_toml_path(Path(path)))
     try:
         schema.RecordingFile.model_validate(data)
     except ValidationError as error:
@@ -119,7 +119,7 @@ def complaints(path: str | Path) -> list[tuple[str, str]]:
 
 def sources(recording: Recording) -> list[Path]:
     """Files that a recording stands on: its TOML file, marks and pictures, in this order."""
-    screen = _load_toml(recording.path).get("screen", {})
+    screen = load_toml(recording.path).get("screen", {})
     names = [screen.get("marks", schema.ScreenTable.model_fields["marks"].default)]
     names += [name for e in recording.exposures for name in (e.image, e.dark) if name]
     return [recording.path, *(recording.folder / name for name in names)]
@@ -136,19 +136,6 @@ def _toml_path(path: Path) -> Path:
     if not path.exists():
         raise BenchsimError(f"{path}: no such file or folder; check the path")
     return path
-
-
-def _load_toml(file: Path) -> dict[str, Any]:
-    try:
-        text = file.read_bytes().decode("utf-8")
-    except OSError as error:
-        raise BenchsimError(f"{file}: cannot be read ({error.strerror}); check the path and its permissions") from None
-    except UnicodeDecodeError:
-        raise BenchsimError(f"{file}: not a text file in UTF-8; a recording or bench is a TOML file") from None
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise BenchsimError(f"{file.name}: not valid TOML: {error}; mend that line") from None
 
 
 def _first_complaint(error: ValidationError) -> str:

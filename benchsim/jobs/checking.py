@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,10 @@ from typing import Any
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import complaints, read, sources
 from benchsim.bench.model import Recording
+from benchsim.bench.names import printable
 from benchsim.bench.paths import inside
 from benchsim.bench.settings import screen_seats
+from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
 from benchsim.intake import metadata, trace_placement
 from benchsim.intake.finding import Finding, Kind
@@ -109,7 +110,7 @@ def check(
     file = path / "recording.toml" if path.is_dir() else path
     if read_in is None:
         findings += _files(file, allow_outside, progress)
-        result = CheckResult(file.parent.name, tuple(findings), 0, False, file.parent)
+        result = CheckResult(printable(file.parent.name), tuple(findings), 0, False, file.parent)
         inputs = [file]
     else:
         findings += _settings(read_in) + _pictures(read_in, progress)
@@ -140,7 +141,7 @@ def _split(message: str) -> tuple[str, str]:
 
 def _files(file: Path, allow_outside: bool, progress: Progress) -> list[Finding]:
     """What the pictures' own words tell of a file that cannot be read as a recording yet."""
-    table = tomllib.loads(file.read_text(encoding="utf-8")).get("exposure", [])
+    table = load_toml(file).get("exposure", [])
     named = [(i, e) for i, e in enumerate(table, 1) if isinstance(e, dict) and isinstance(e.get("image"), str)]
     photos: list[Photo] = []
     out, cameras = [], []

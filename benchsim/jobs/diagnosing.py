@@ -15,6 +15,7 @@ from benchsim import diagnosis, trace
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, sources
 from benchsim.bench.model import Exposure, Recording
+from benchsim.bench.names import file_name
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
@@ -352,7 +353,7 @@ def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: s
             exposure.name, np.asarray(light, float), found.s_mm, np.column_stack([found.u_px, found.v_px])
         )
         pictures.located(
-            folder / f"located-{Path(exposure.image).stem}.png",
+            folder / f"located-{file_name(Path(exposure.image).stem)}.png",
             ridge,
             [s for s in where.along_trace if s.exposure == exposure.name],
             result.problem,

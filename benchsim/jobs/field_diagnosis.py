@@ -23,8 +23,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.names import file_name
 from benchsim.bench.paths import inside
-from benchsim.bench.writing import write_text
+from benchsim.bench.writing import write_csv, write_text
 from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, wrong_days
 from benchsim.instruments.mount.records import UNITS, Session
 from benchsim.instruments.mount.shared_causes import Joint, Shared, Witness
@@ -232,6 +233,9 @@ def heliostats(source: Path, tower: Path | None, allow_outside: bool = False) ->
             f"{source}: holds no folder of a heliostat's PAINT files; name the folder above them, or a CSV file with "
             "the columns id and path"
         )
+    unfit = next((p for p in inner if file_name(p.name) != p.name), None)
+    if unfit is not None:
+        raise BenchsimError(f"{unfit}: is no name for a heliostat; rename the folder")
     return [Heliostat(p.name, p, tower) for p in inner]
 
 
@@ -246,7 +250,7 @@ def _listed(source: Path, tower: Path | None, allow_outside: bool) -> list[Helio
         if missing:
             raise BenchsimError(f"{source}, line {number}: {missing}: is missing; the columns are id, path and tower")
         name, own = row["id"].strip(), (row.get("tower") or "").strip()
-        if name in out or Path(name).name != name or name.startswith("."):
+        if name in out or file_name(name) != name:
             raise BenchsimError(f"{source}, line {number}: id: {name!r} is there twice or no name; mend it")
         places = {
             key: inside(source.parent, row[key].strip(), f"{source}, line {number}: {key}", allow_outside=allow_outside)
@@ -356,9 +360,7 @@ COLUMNS = (
 
 
 def _write(found: FieldDiagnosis, folder: Path) -> None:
-    out = io.StringIO()
-    table = csv.writer(out, lineterminator="\n")
-    table.writerow(COLUMNS)
+    table = []
     for row in found.rows:
         flat = {
             **row,
@@ -370,8 +372,8 @@ def _write(found: FieldDiagnosis, folder: Path) -> None:
             ),
             "set_aside": "; ".join(row["set_aside"]),
         }
-        table.writerow([f"{flat[c]:.6g}" if isinstance(flat[c], float) else flat[c] for c in COLUMNS])
-    write_text(folder / "field.csv", out.getvalue())
+        table.append([flat[c] for c in COLUMNS])
+    write_csv(folder / "field.csv", COLUMNS, table, 6)
     plain = found.as_dict()
     write_text(folder / "field.json", json.dumps(plain, indent=1, allow_nan=False) + "\n")
     title = folder.resolve().name

@@ -134,7 +134,7 @@ def test_paths_and_links_within_the_folder_are_followed(sent):
     assert read(linked, images=True).exposures
 
 
-@pytest.mark.parametrize("name", ["\\u0000", "a" * 300, "/".join(["deep"] * 1000)])
+@pytest.mark.parametrize("name", ["a" * 300, "/".join(["deep"] * 1000)])
 def test_what_is_no_path_is_one_sentence(sent, name):
     toml = sent / "recording.toml"
     toml.write_text(toml.read_text().replace('"001.png"', f'"{name}"'))
