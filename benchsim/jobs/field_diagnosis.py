@@ -201,6 +201,8 @@ def field(
                 rows[usable[k].name] = result
             else:
                 lost[usable[k].name] = sentence(usable[k], result)
+    if not rows:
+        raise BenchsimError(f"{source}: not one heliostat can be used; the first: {next(iter(lost.values()))}")
     remarks = wrong_days.told({name: row["days"] for name, row in rows.items()})
     if not together:
         remarks.append(

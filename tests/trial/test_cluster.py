@@ -22,7 +22,7 @@ from cryptography.x509.oid import NameOID
 
 from benchsim import trial
 from benchsim.bench.errors import BenchsimError
-from benchsim.jobs.cluster import Scheduler, cluster
+from benchsim.jobs.cluster import MEMORY_KEPT, Scheduler, cluster
 from benchsim.trial import ledger
 
 HERE = Path(__file__).parent
@@ -121,6 +121,15 @@ def test_results_come_as_they_are_finished_and_what_is_left_is_ended():
         assert next(results) == (1, "quick")
         begun = time.monotonic()
     assert time.monotonic() - begun < 10
+
+
+def test_processes_have_one_thread_and_keep_their_memory_and_this_one_is_as_it_was(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    with cluster(workers=1) as each:
+        [(_, found)] = each(eval, [("dict(__import__('os').environ)",)])
+    assert found["OMP_NUM_THREADS"] == found["MKL_NUM_THREADS"] == "1"
+    assert MEMORY_KEPT.items() <= found.items() and not MEMORY_KEPT.keys() & os.environ.keys()
+    assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
 def test_nobody_listens_in_a_command_on_processes_of_this_machine(concealed, tmp_path):
