@@ -11,6 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from benchsim.bench.names import printable
+
 app = typer.Typer(
     help="A heliostat bench as software: render it, read it back, validate the vector model, diagnose what is missing.",
     no_args_is_help=True,
@@ -21,6 +23,7 @@ app = typer.Typer(
 
 Output = Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default ./NAME-COMMAND/.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the machine-readable result.")]
+Outside = Annotated[bool, typer.Option("--allow-outside", help="Let the files name others outside of their folder.")]
 Variant = Annotated[str | None, typer.Option(help="Mitsuba's back end; default llvm_ad_mono, cuda_ad_mono with a GPU.")]
 
 
@@ -34,14 +37,14 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
-        yield lambda what, done: bar.update(task, description=what, completed=done)
+        yield lambda what, done: bar.update(task, description=printable(what), completed=done)
 
 
 def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
@@ -62,7 +65,7 @@ def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
 
         typer.echo(json.dumps(result.as_dict(), indent=1, allow_nan=False))
     else:
-        typer.echo(result.summary())
+        typer.echo(printable(result.summary(), breaks="\n"))
     return result
 
 
@@ -77,13 +80,14 @@ def run(
         Path | None, typer.Argument(help="Bench file, or recording folder; default: both settings of Fig. 7.")
     ] = None,
     output: Output = None,
+    allow_outside: Outside = False,
     json: Json = False,
     variant: Variant = None,
 ) -> None:
     """The main job: render (or take the recording's images), fit, validate, draw."""
     from benchsim import jobs
 
-    _do(jobs.run, json, file=file, output=output, variant=variant)
+    _do(jobs.run, json, file=file, output=output, variant=variant, allow_outside=allow_outside)
 
 
 @app.command()
@@ -107,6 +111,7 @@ def render(
     phone: Annotated[
         bool, typer.Option("--phone", help="Photographs alone, of bench and board, as a phone makes them.")
     ] = False,
+    allow_outside: Outside = False,
     json: Json = False,
     variant: Variant = None,
 ) -> None:
@@ -116,6 +121,7 @@ def render(
     _do(
         jobs.render, json, bench=bench, output=output, seed=seed, effects=effect or [], noise=noise,
         setting_errors=setting_errors, conceal=conceal, phone=phone, variant=variant,
+        allow_outside=allow_outside,
     )  # fmt: skip
 
 
@@ -126,24 +132,26 @@ def fit(
     pixels: Annotated[
         bool, typer.Option("--pixels", help="Fit a single image in pixels, without a recording file.")
     ] = False,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Photographs → marks → trace with error bars → conics."""
     from benchsim import jobs
 
-    _do(jobs.fit, json, source=source, output=output, pixels=pixels)
+    _do(jobs.fit, json, source=source, output=output, pixels=pixels, allow_outside=allow_outside)
 
 
 @app.command()
 def validate(
     recording: Annotated[Path, typer.Argument(help="Recording folder.")],
     output: Output = None,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Compare the traces with the vector model, in mm on the screen and mrad of mirror normal."""
     from benchsim import jobs
 
-    _do(jobs.validate, json, recording=recording, output=output)
+    _do(jobs.validate, json, recording=recording, output=output, allow_outside=allow_outside)
 
 
 class Against(StrEnum):
@@ -170,20 +178,38 @@ def diagnose(
     against: InDoubt = Against.bench,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw what was found.")] = True,
     tower: Tower = None,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Say what the simulation lacks: where, what, how large, and what to do; or what would have been seen."""
     from benchsim import jobs
 
-    _do(jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures, tower=tower)
+    _do(
+        jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures, tower=tower,
+        allow_outside=allow_outside,
+    )  # fmt: skip
 
 
-Scheduler = Annotated[
-    str | None, typer.Option(help="Address of a running dask scheduler; its workers must see the same folders.")
+SchedulerAt = Annotated[
+    str | None,
+    typer.Option("--scheduler", help="tls:// address of a dask scheduler whose workers see these folders."),
 ]
+Tls = Annotated[
+    tuple[Path, Path, Path] | None,
+    typer.Option(metavar="CA CERTIFICATE KEY", help="PEM files for the scheduler; default Dask's configuration."),
+]
+Insecure = Annotated[bool, typer.Option("--insecure", help="Let the scheduler do without TLS.")]
 Processes = Annotated[
     int | None, typer.Option("--workers", min=0, help="Local processes; default one per core; 0: in this one.")
 ]
+
+
+def _scheduler(address: str | None, tls: tuple[Path, Path, Path] | None, insecure: bool) -> Any:
+    from benchsim.jobs.cluster import Scheduler
+
+    if address is None and (tls or insecure):
+        raise typer.BadParameter("give --scheduler too", param_hint="--tls" if tls else "--insecure")
+    return None if address is None else Scheduler(address, tls, insecure)
 
 
 @app.command()
@@ -191,17 +217,20 @@ def field(
     heliostats: Annotated[Path, typer.Argument(help="Folder of heliostats' PAINT folders, or a CSV with id and path.")],
     output: Output = None,
     tower: Tower = None,
-    scheduler: Scheduler = None,
+    scheduler: SchedulerAt = None,
+    tls: Tls = None,
+    insecure: Insecure = False,
     workers: Processes = None,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw every heliostat's.")] = False,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Diagnose every heliostat of a field, and what they share; one that was stopped goes on."""
     from benchsim import jobs
 
     _do(
-        jobs.field, json, source=heliostats, output=output, tower=tower, scheduler=scheduler, workers=workers,
-        draw=pictures,
+        jobs.field, json, source=heliostats, output=output, tower=tower, draw=pictures, workers=workers,
+        scheduler=_scheduler(scheduler, tls, insecure), allow_outside=allow_outside,
     )  # fmt: skip
 
 
@@ -270,12 +299,13 @@ def effects(
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default: none.")] = None,
     against: InDoubt = Against.bench,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """List the effects of the catalogue, or those that a recording could detect and tell apart."""
     from benchsim import jobs
 
-    _do(jobs.effects, json, recording=recording, output=output, against=against.value)
+    _do(jobs.effects, json, recording=recording, output=output, against=against.value, allow_outside=allow_outside)
 
 
 class Paper(StrEnum):
@@ -319,12 +349,13 @@ def report(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write; default report.html in the folder.")
     ] = None,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """One self-contained HTML file of a finished folder: verdict, photographs, residuals, probabilities."""
     from benchsim import jobs
 
-    _do(jobs.report, json, folder=folder, output=output)
+    _do(jobs.report, json, folder=folder, output=output, allow_outside=allow_outside)
 
 
 trial_app = typer.Typer(
@@ -356,7 +387,9 @@ def trial_begin(
     seed: TrialSeed = None,
     shrink: Shrink = 2,
     zero: Zero = False,
-    scheduler: Scheduler = None,
+    scheduler: SchedulerAt = None,
+    tls: Tls = None,
+    insecure: Insecure = False,
     workers: Processes = None,
     json: Json = False,
 ) -> None:
@@ -365,8 +398,8 @@ def trial_begin(
 
     job = trial.run if command.info_name == "run" else trial.conceal
     _do(
-        job, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, scheduler=scheduler,
-        workers=workers,
+        job, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, workers=workers,
+        scheduler=_scheduler(scheduler, tls, insecure),
     )  # fmt: skip
 
 
@@ -377,7 +410,9 @@ def trial_judge(
     again: Annotated[
         list[str] | None, typer.Option(help="Case to judge once more, recorded as such; may be repeated.")
     ] = None,
-    scheduler: Scheduler = None,
+    scheduler: SchedulerAt = None,
+    tls: Tls = None,
+    insecure: Insecure = False,
     workers: Processes = None,
     json: Json = False,
 ) -> None:
@@ -385,8 +420,8 @@ def trial_judge(
     from benchsim import trial
 
     _do(
-        trial.judge, json, recordings=recordings, output=output, again=again or [], scheduler=scheduler,
-        workers=workers,
+        trial.judge, json, recordings=recordings, output=output, again=again or [], workers=workers,
+        scheduler=_scheduler(scheduler, tls, insecure),
     )  # fmt: skip
 
 
@@ -466,12 +501,13 @@ def new(
 def check(
     recording: Annotated[Path, typer.Argument(help="Recording folder.")],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default: none.")] = None,
+    allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
     """Say what a recording still lacks, and where it contradicts itself, before anything is fitted."""
     from benchsim import jobs
 
-    if not _do(jobs.check, json, recording=recording, output=output).usable:
+    if not _do(jobs.check, json, recording=recording, output=output, allow_outside=allow_outside).usable:
         raise typer.Exit(1)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +33,9 @@ from benchsim.bench.model import (
     Surface,
     Uncertainty,
 )
+from benchsim.bench.paths import inside
 from benchsim.bench.place import aim
+from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write
 
 __all__ = ["UNFILLED", "complaints", "read", "sources", "write"]
@@ -55,7 +56,7 @@ _TABLE_MODELS: dict[str, type[BaseModel]] = {
 }
 
 
-def read(path: str | Path, *, images: bool | None = None) -> Recording:
+def read(path: str | Path, *, images: bool | None = None, allow_outside: bool = False) -> Recording:
     """Read and check a recording folder, or a recording or bench file.
 
     Parameters
@@ -65,6 +66,8 @@ def read(path: str | Path, *, images: bool | None = None) -> Recording:
     images : bool, optional
         True: every exposure must name an image that exists. False: images are ignored (a bench to be rendered).
         Default: images are optional, those named must exist.
+    allow_outside : bool
+        Whether marks and images may lie outside of the file's folder, see `paths.inside`.
 
     Returns
     -------
@@ -77,7 +80,7 @@ def read(path: str | Path, *, images: bool | None = None) -> Recording:
         One sentence that names file, key and mend.
     """
     file = _toml_path(Path(path))
-    data = _load_toml(file)
+    data = load_toml(file)
     for table in data.get("exposure", []) if isinstance(data.get("exposure"), list) else []:
         if images is False and isinstance(table, dict):
             table.pop("image", None)
@@ -86,8 +89,9 @@ def read(path: str | Path, *, images: bool | None = None) -> Recording:
         checked = schema.RecordingFile.model_validate(data)
     except ValidationError as error:
         raise BenchsimError(f"{file.name}: {_first_complaint(error)}") from None
-    recording = replace(_convert(checked, file), defaults_used=tuple(_defaults(checked)))
-    _check(recording, file, images)
+    marks = inside(file.parent, checked.screen.marks, f"{file.name}: screen.marks", allow_outside=allow_outside)
+    recording = replace(_convert(checked, file, marks), defaults_used=tuple(_defaults(checked)))
+    _check(recording, file, images, allow_outside)
     return recording
 
 
@@ -101,7 +105,7 @@ def complaints(path: str | Path) -> list[tuple[str, str]]:
     BenchsimError
         If there is no such file, or it is not TOML.
     """
-    data = _load_toml(_toml_path(Path(path)))
+    data = load_toml(_toml_path(Path(path)))
     try:
         schema.RecordingFile.model_validate(data)
     except ValidationError as error:
@@ -115,7 +119,7 @@ def complaints(path: str | Path) -> list[tuple[str, str]]:
 
 def sources(recording: Recording) -> list[Path]:
     """Files that a recording stands on: its TOML file, marks and pictures, in this order."""
-    screen = _load_toml(recording.path).get("screen", {})
+    screen = load_toml(recording.path).get("screen", {})
     names = [screen.get("marks", schema.ScreenTable.model_fields["marks"].default)]
     names += [name for e in recording.exposures for name in (e.image, e.dark) if name]
     return [recording.path, *(recording.folder / name for name in names)]
@@ -132,19 +136,6 @@ def _toml_path(path: Path) -> Path:
     if not path.exists():
         raise BenchsimError(f"{path}: no such file or folder; check the path")
     return path
-
-
-def _load_toml(file: Path) -> dict[str, Any]:
-    try:
-        text = file.read_bytes().decode("utf-8")
-    except OSError as error:
-        raise BenchsimError(f"{file}: cannot be read ({error.strerror}); check the path and its permissions") from None
-    except UnicodeDecodeError:
-        raise BenchsimError(f"{file}: not a text file in UTF-8; a recording or bench is a TOML file") from None
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise BenchsimError(f"{file.name}: not valid TOML: {error}; mend that line") from None
 
 
 def _first_complaint(error: ValidationError) -> str:
@@ -221,7 +212,7 @@ def _mend(kind: str, first: Any, value: Any) -> str:
     return f"{shown}: {first['msg'][0].lower()}{first['msg'][1:]}; mend that value"
 
 
-def _convert(f: schema.RecordingFile, file: Path) -> Recording:
+def _convert(f: schema.RecordingFile, file: Path, marks: Path) -> Recording:
     mrad, deg = 1e-3, math.pi / 180
     u = f.uncertainty
     if f.mirror.shape == "cylinder" and f.physics.facets and "facets" in f.physics.model_fields_set:
@@ -236,7 +227,7 @@ def _convert(f: schema.RecordingFile, file: Path) -> Recording:
             f.laser.incoherent_divergence_mrad * mrad,
         ),
         mirror=Mirror(f.mirror.shape, f.mirror.facets, f.mirror.diameter_mm, f.mirror.height_mm, f.mirror.stands_for),
-        screen=Screen(_pair(f.screen.size_mm), f.screen.reflectance, read_marks(file.parent / f.screen.marks)),
+        screen=Screen(_pair(f.screen.size_mm), f.screen.reflectance, read_marks(marks)),
         cameras={name: _camera(name, c) for name, c in f.cameras.items()},
         physics=physics,
         uncertainty=Uncertainty(
@@ -367,7 +358,7 @@ def _defaults(f: schema.RecordingFile) -> list[str]:
     return out
 
 
-def _check(recording: Recording, file: Path, images: bool | None) -> None:
+def _check(recording: Recording, file: Path, images: bool | None, allow_outside: bool) -> None:
     for name, camera in recording.cameras.items():
         key = f"{file.name}: cameras.{name}"
         if camera.saturation_level <= camera.black_level:
@@ -399,7 +390,7 @@ def _check(recording: Recording, file: Path, images: bool | None) -> None:
         if e.dark is not None and e.image is None:
             raise BenchsimError(f"{key}.dark: given without an image; add image")
         for kind in ("image", "dark"):
-            _check_image_path(getattr(e, kind), f"{key}.{kind}", recording.folder)
+            _check_image_path(getattr(e, kind), f"{key}.{kind}", recording.folder, allow_outside)
         if e.image is not None:
             if e.image in seen:
                 raise BenchsimError(f"{key}.image: '{e.image}' is already another exposure's; name each image once")
@@ -413,10 +404,10 @@ def _check_effects(recording: Recording, file: Path) -> None:
             raise BenchsimError(f"{file.name}: effects.{name}: empty; give its parameters or remove the table")
 
 
-def _check_image_path(name: str | None, key: str, folder: Path) -> None:
+def _check_image_path(name: str | None, key: str, folder: Path, allow_outside: bool) -> None:
     if name is None:
         return
-    path = folder / name
+    path = inside(folder, name, key, allow_outside=allow_outside)
     if not path.exists():
         raise BenchsimError(f"{key}: '{name}' is not there (looked in {folder}); add the file or mend the name")
     if not path.is_file():

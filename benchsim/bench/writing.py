@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import os
 import tempfile
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,6 +17,7 @@ from benchsim.bench import schema
 from benchsim.bench.fields import FORMS
 from benchsim.bench.marks import MARKS_HEADER
 from benchsim.bench.model import Marks, Recording
+from benchsim.bench.names import cell
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -32,6 +36,21 @@ def write_bytes(path: Path, data: bytes) -> None:
 def write_text(path: Path, text: str) -> None:
     """`write_bytes` of a text in UTF-8."""
     write_bytes(path, text.encode())
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]], digits: int | None = None) -> None:
+    """Write a table: texts as `names.cell` has them, floats with so many significant digits or all, None empty."""
+
+    def shown(value: Any) -> Any:
+        if isinstance(value, str):
+            return cell(value)
+        return f"{value:.{digits}g}" if digits is not None and isinstance(value, float) else value
+
+    out = io.StringIO()
+    table = csv.writer(out, lineterminator="\n")
+    table.writerow(header)
+    table.writerows(map(shown, row) for row in rows)
+    write_text(path, out.getvalue())
 
 
 def permit(path: Path, mode: int) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Marks
+from benchsim.bench.names import printable
 from benchsim.calibration import exif
 from benchsim.calibration.advice import Advice, advise
 from benchsim.calibration.focus import Change, focal, principal_point, refocused
@@ -175,7 +176,7 @@ def calibrate(
 def _names(paths: Sequence[Path]) -> list[str]:
     """File names; with their folder where two have the same."""
     plain = [p.name for p in paths]
-    return [p.name if plain.count(p.name) == 1 else f"{p.parent.name}/{p.name}" for p in paths]
+    return [printable(p.name if plain.count(p.name) == 1 else f"{p.parent.name}/{p.name}") for p in paths]
 
 
 def _format(paths: Sequence[Path], names: Sequence[str]) -> tuple[tuple[int, int], int]:

@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera
 from benchsim.bench.schema import CameraTable, NonNegativeTriple, Number, Table
+from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
 from benchsim.calibration.model import LENS
 
@@ -129,16 +130,9 @@ def read_camera(path: Path) -> CameraRecord:
     BenchsimError
         If it is not there, is no such file, or a key is wrong; names file and key.
     """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BenchsimError(
-            f"{path.name}: not there (looked in {path.parent}); make it with 'benchsim calibrate'"
-        ) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise BenchsimError(
-            f"{path.name}: cannot be read as TOML ({error}); make it with 'benchsim calibrate'"
-        ) from None
+    if not path.exists():
+        raise BenchsimError(f"{path.name}: not there (looked in {path.parent}); make it with 'benchsim calibrate'")
+    data = load_toml(path)
     try:
         file = _File.model_validate(data)
     except ValidationError as error:

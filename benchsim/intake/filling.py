@@ -12,6 +12,7 @@ import tomlkit
 from benchsim.bench import schema
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import UNFILLED
+from benchsim.bench.names import printable
 from benchsim.calibration.record import CameraRecord
 from benchsim.intake.photo import UPRIGHT, Photo
 
@@ -89,7 +90,7 @@ def recording_toml(
             f'format = "{_format()}"',
             f"title = {_toml(title)}",
             "",
-            '# "?" stands where only you know the value. Fill in every one, then: benchsim check ' + folder,
+            '# "?" stands where only you know the value. Fill in every one, then: benchsim check ' + printable(folder),
             "# Frame: x is the screen's normal toward the mirror, y to the right as seen from the mirror, z up; its",
             "# origin is the screen's centre.",
             *_LASER,
@@ -113,7 +114,7 @@ def _toml(value: Any) -> str:
 
 def _line(key: str, value: Any, comment: str = "") -> str:
     text = f"{key} = {_toml(value)}"
-    return f"{text:<{COMMENT_COLUMN}}  # {comment}" if comment else text
+    return f"{text:<{COMMENT_COLUMN}}  # {printable(comment)}" if comment else text
 
 
 _LASER = [

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.bench.names import printable
 from benchsim.calibration.exif import directories
 from benchsim.trace.image import read_counts
 
@@ -106,7 +107,7 @@ def read_photo(path: Path) -> tuple[Photo, NDArray]:
             focal=_number(own.get(0x920A)),
             focal_35mm=_number(own.get(0xA405)),
             zoom=_number(own.get(0xA404)),
-            model=" ".join(str(tags[t]).strip("\0 ") for t in (0x010F, 0x0110) if tags.get(t)),
+            model=printable(" ".join(str(tags[t]).strip("\0 ") for t in (0x010F, 0x0110) if tags.get(t))),
             hdr=int(_number(own.get(0xA401)) or 0) in MERGED,
         ),
         counts,

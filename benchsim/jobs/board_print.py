@@ -9,10 +9,11 @@ from typing import Any
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Marks
+from benchsim.bench.paths import STAMP
 from benchsim.bench.writing import write_marks
 from benchsim.board import PAPERS, Layout, corrected, draw, lay_out, tiles, whole, write_pdf, write_svg
 from benchsim.board.layout import RULE
-from benchsim.jobs.output import STAMP, output_folder
+from benchsim.jobs.output import output_folder
 from benchsim.jobs.progress import Progress, silent
 
 READING = 0.2

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,10 @@ from typing import Any
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import complaints, read, sources
 from benchsim.bench.model import Recording
+from benchsim.bench.names import printable
+from benchsim.bench.paths import inside
 from benchsim.bench.settings import screen_seats
+from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
 from benchsim.intake import metadata, trace_placement
 from benchsim.intake.finding import Finding, Kind
@@ -67,7 +69,13 @@ class CheckResult:
         return "\n".join(lines)
 
 
-def check(recording: Path | str, output: Path | str | None = None, *, progress: Progress = silent) -> CheckResult:
+def check(
+    recording: Path | str,
+    output: Path | str | None = None,
+    *,
+    allow_outside: bool = False,
+    progress: Progress = silent,
+) -> CheckResult:
     """Say what a recording lacks and where it contradicts itself.
 
     Parameters
@@ -76,6 +84,8 @@ def check(recording: Path | str, output: Path | str | None = None, *, progress: 
         Recording folder or file.
     output : path, optional
         Folder for ``check.json`` and ``check.txt``; default: nothing is written.
+    allow_outside : bool
+        Whether marks and images may lie outside of the file's folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -93,14 +103,14 @@ def check(recording: Path | str, output: Path | str | None = None, *, progress: 
     read_in: Recording | None = None
     if not findings:
         try:
-            read_in = read(path, images=True)
+            read_in = read(path, images=True, allow_outside=allow_outside)
         except BenchsimError as error:
             where, says = _split(str(error))
             findings.append(Finding(Kind.inconsistent, where, says))
     file = path / "recording.toml" if path.is_dir() else path
     if read_in is None:
-        findings += _files(file, progress)
-        result = CheckResult(file.parent.name, tuple(findings), 0, False, file.parent)
+        findings += _files(file, allow_outside, progress)
+        result = CheckResult(printable(file.parent.name), tuple(findings), 0, False, file.parent)
         inputs = [file]
     else:
         findings += _settings(read_in) + _pictures(read_in, progress)
@@ -129,19 +139,25 @@ def _split(message: str) -> tuple[str, str]:
     return (key, what) if found and file.endswith(".toml") else (file, rest)
 
 
-def _files(file: Path, progress: Progress) -> list[Finding]:
+def _files(file: Path, allow_outside: bool, progress: Progress) -> list[Finding]:
     """What the pictures' own words tell of a file that cannot be read as a recording yet."""
-    table = tomllib.loads(file.read_text(encoding="utf-8")).get("exposure", [])
-    named = [e for e in table if isinstance(e, dict) and isinstance(e.get("image"), str)]
-    out, photos, cameras = [], [], []
-    for i, e in enumerate(named):
-        progress(f"reading {e['image']}", i / len(named))
+    table = load_toml(file).get("exposure", [])
+    named = [(i, e) for i, e in enumerate(table, 1) if isinstance(e, dict) and isinstance(e.get("image"), str)]
+    photos: list[Photo] = []
+    out, cameras = [], []
+
+    def photo_of(number: int, kind: str, name: str) -> Photo:
+        key = f"{file.name}: exposure[{number}].{kind}"
+        return read_photo(inside(file.parent, name, key, allow_outside=allow_outside))[0]
+
+    for i, e in named:
+        progress(f"reading {e['image']}", len(photos) / len(named))
         try:
-            photo, _ = read_photo(file.parent / e["image"])
+            photo = photo_of(i, "image", e["image"])
             photos.append(photo)
             cameras.append(str(e.get("camera")))
             if isinstance(e.get("dark"), str):
-                out += metadata.dark_alike(photo, read_photo(file.parent / e["dark"])[0])
+                out += metadata.dark_alike(photo, photo_of(i, "dark", e["dark"]))
         except BenchsimError as error:
             where, says = _split(str(error))
             out.append(Finding(Kind.inconsistent, where, says))

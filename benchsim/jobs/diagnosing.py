@@ -15,6 +15,7 @@ from benchsim import diagnosis, trace
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, sources
 from benchsim.bench.model import Exposure, Recording
+from benchsim.bench.names import file_name
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
@@ -110,6 +111,7 @@ def diagnose(
     against: str = "bench",
     pictures: bool = True,
     tower: Path | str | None = None,
+    allow_outside: bool = False,
     progress: Progress = silent,
 ) -> DiagnosisResult | MountDiagnosis:
     """Say what a simulation lacks, from settings and photographs alone; or from the recordings of a two-axis mount.
@@ -129,6 +131,8 @@ def diagnose(
         Whether to draw; without, the page shows no photographs either.
     tower : path, optional
         Tower file of PAINT recordings; default it is looked for in their folder and above.
+    allow_outside : bool
+        Whether marks and images may lie outside of the file's folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -152,7 +156,7 @@ def diagnose(
         place = None if tower is None else Path(tower)
         return mount_diagnosis.diagnose(source, output, tower=place, draw=pictures, progress=progress)
     folder = Path(output) if output is not None else default_folder(source, "diagnose")
-    checked = read(source, images=True)
+    checked = read(source, images=True, allow_outside=allow_outside)
     effects.check(checked)
     candidates.simulated(checked, against)
     options = {"against": against, "pictures": pictures}
@@ -349,7 +353,7 @@ def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: s
             exposure.name, np.asarray(light, float), found.s_mm, np.column_stack([found.u_px, found.v_px])
         )
         pictures.located(
-            folder / f"located-{Path(exposure.image).stem}.png",
+            folder / f"located-{file_name(Path(exposure.image).stem)}.png",
             ridge,
             [s for s in where.along_trace if s.exposure == exposure.name],
             result.problem,

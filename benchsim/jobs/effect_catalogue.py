@@ -157,6 +157,7 @@ def effects(
     output: Path | str | None = None,
     *,
     against: str = "bench",
+    allow_outside: bool = False,
     progress: Progress = silent,
 ) -> CatalogueResult | IsolabilityResult:
     """The catalogue of effects; or, for a recording or bench file, which of them it could show, before any data.
@@ -169,6 +170,8 @@ def effects(
         Folder for ``effects.json`` and ``effects.txt``; default: nothing is written.
     against : {"bench", "vector"}
         The simulation in doubt.
+    allow_outside : bool
+        Whether its marks may lie outside of the file's folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -183,7 +186,7 @@ def effects(
     """
     if recording is None:
         return _written(CatalogueResult(bench_effects.CATALOGUE), output, [Path(bench_effects.__file__)])
-    read_in = read(Path(recording), images=False)
+    read_in = read(Path(recording), images=False, allow_outside=allow_outside)
     bench_effects.check(read_in)
     return _written(isolability(read_in, against, progress), output, sources(read_in)[:2])
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.names import file_name
 from benchsim.bench.writing import write_text
 from benchsim.instruments.mount import paint_heliostat
 from benchsim.instruments.mount.absorbing import absorbed
@@ -87,7 +88,7 @@ def export(
     if session.mount.axes != "east-west":
         raise BenchsimError(f"{session.path}: is of a telescope; --paint is for heliostats of the PAINT data base")
     heliostat, place = session.files[-2:]
-    file = Path(output) if output is not None else Path(f"{session.title}-heliostat-properties.json")
+    file = Path(output) if output is not None else Path(f"{file_name(session.title)}-heliostat-properties.json")
     note = file.with_suffix(".txt")
     for target in (file, note):
         if target.resolve() in [p.resolve() for p in session.files]:

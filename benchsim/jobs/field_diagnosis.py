@@ -23,12 +23,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.writing import write_text
+from benchsim.bench.names import file_name
+from benchsim.bench.paths import inside
+from benchsim.bench.writing import write_csv, write_text
 from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, wrong_days
 from benchsim.instruments.mount.records import UNITS, Session
 from benchsim.instruments.mount.shared_causes import Joint, Shared, Witness
 from benchsim.jobs import mount_diagnosis
-from benchsim.jobs.cluster import cluster
+from benchsim.jobs.cluster import Scheduler, cluster
 from benchsim.jobs.mount_diagnosis import MountDiagnosis
 from benchsim.jobs.output import begun_folder, default_folder
 from benchsim.jobs.progress import Progress, silent
@@ -133,9 +135,10 @@ def field(
     output: Path | str | None = None,
     *,
     tower: Path | None = None,
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
     workers: int | None = None,
     draw: bool = False,
+    allow_outside: bool = False,
     progress: Progress = silent,
 ) -> FieldDiagnosis:
     """Diagnose every heliostat of a field, and what they share.
@@ -149,12 +152,14 @@ def field(
         Default ``./NAME-field/``. What is finished in it is kept.
     tower : Path, optional
         Tower file of all heliostats; default it is looked for beside and above each.
-    scheduler : str, optional
-        Address of a Dask scheduler, whose workers must see the same folders; default processes of this machine.
+    scheduler : Scheduler, optional
+        Default processes of this machine.
     workers : int, optional
         Of this machine; default one per core, 0: everything in this process.
     draw : bool
         Whether to draw pictures of every heliostat.
+    allow_outside : bool
+        Whether what a list names may lie outside of its folder.
     progress : callable
 
     Returns
@@ -168,7 +173,7 @@ def field(
     """
     source = Path(source)
     folder = Path(output) if output is not None else default_folder(source, "field")
-    everyone = heliostats(source, tower)
+    everyone = heliostats(source, tower, allow_outside)
     begun_folder(folder, "field", everyone[0].folder)
     lost: dict[str, str] = {}
     with cluster(scheduler, workers) as each:
@@ -196,6 +201,8 @@ def field(
                 rows[usable[k].name] = result
             else:
                 lost[usable[k].name] = sentence(usable[k], result)
+    if not rows:
+        raise BenchsimError(f"{source}: not one heliostat can be used; the first: {next(iter(lost.values()))}")
     remarks = wrong_days.told({name: row["days"] for name, row in rows.items()})
     if not together:
         remarks.append(
@@ -216,10 +223,10 @@ def field(
     return found
 
 
-def heliostats(source: Path, tower: Path | None) -> list[Heliostat]:
+def heliostats(source: Path, tower: Path | None, allow_outside: bool = False) -> list[Heliostat]:
     """The heliostats of a folder or of a list."""
     if source.is_file():
-        return _listed(source, tower)
+        return _listed(source, tower, allow_outside)
     if not source.is_dir():
         raise BenchsimError(f"{source}: no such folder; name the folder that holds the heliostats' folders, or a list")
     inner = sorted(p for p in source.iterdir() if p.is_dir() and not p.name.startswith(".") and paint.recognises(p))
@@ -228,10 +235,13 @@ def heliostats(source: Path, tower: Path | None) -> list[Heliostat]:
             f"{source}: holds no folder of a heliostat's PAINT files; name the folder above them, or a CSV file with "
             "the columns id and path"
         )
+    unfit = next((p for p in inner if file_name(p.name) != p.name), None)
+    if unfit is not None:
+        raise BenchsimError(f"{unfit}: is no name for a heliostat; rename the folder")
     return [Heliostat(p.name, p, tower) for p in inner]
 
 
-def _listed(source: Path, tower: Path | None) -> list[Heliostat]:
+def _listed(source: Path, tower: Path | None, allow_outside: bool) -> list[Heliostat]:
     try:
         rows = list(csv.DictReader(io.StringIO(source.read_text(encoding="utf-8-sig"))))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -242,10 +252,13 @@ def _listed(source: Path, tower: Path | None) -> list[Heliostat]:
         if missing:
             raise BenchsimError(f"{source}, line {number}: {missing}: is missing; the columns are id, path and tower")
         name, own = row["id"].strip(), (row.get("tower") or "").strip()
-        if name in out or Path(name).name != name or name.startswith("."):
+        if name in out or file_name(name) != name:
             raise BenchsimError(f"{source}, line {number}: id: {name!r} is there twice or no name; mend it")
-        place = source.parent / row["path"].strip()
-        out[name] = Heliostat(name, place, source.parent / own if own else tower)
+        places = {
+            key: inside(source.parent, row[key].strip(), f"{source}, line {number}: {key}", allow_outside=allow_outside)
+            for key in ("path", *(("tower",) if own else ()))
+        }
+        out[name] = Heliostat(name, places["path"], places.get("tower", tower))
     if not out:
         raise BenchsimError(f"{source}: lists no heliostat; write a line for each, with id and path")
     return list(out.values())
@@ -349,9 +362,7 @@ COLUMNS = (
 
 
 def _write(found: FieldDiagnosis, folder: Path) -> None:
-    out = io.StringIO()
-    table = csv.writer(out, lineterminator="\n")
-    table.writerow(COLUMNS)
+    table = []
     for row in found.rows:
         flat = {
             **row,
@@ -363,8 +374,8 @@ def _write(found: FieldDiagnosis, folder: Path) -> None:
             ),
             "set_aside": "; ".join(row["set_aside"]),
         }
-        table.writerow([f"{flat[c]:.6g}" if isinstance(flat[c], float) else flat[c] for c in COLUMNS])
-    write_text(folder / "field.csv", out.getvalue())
+        table.append([flat[c] for c in COLUMNS])
+    write_csv(folder / "field.csv", COLUMNS, table, 6)
     plain = found.as_dict()
     write_text(folder / "field.json", json.dumps(plain, indent=1, allow_nan=False) + "\n")
     title = folder.resolve().name

@@ -16,9 +16,10 @@ from benchsim import conics, trace, vector
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, sources
 from benchsim.bench.model import Exposure, Recording
+from benchsim.bench.names import file_name
 from benchsim.bench.place import place
 from benchsim.bench.settings import NAMES, from_vector, prior_sigma, screen_seats, uncertainty_of
-from benchsim.bench.writing import write_text
+from benchsim.bench.writing import write_csv, write_text
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.report import pictures
@@ -132,7 +133,12 @@ def _in_pixels(value: Any) -> Any:
 
 
 def fit(
-    source: Path | str, output: Path | str | None = None, *, pixels: bool = False, progress: Progress = silent
+    source: Path | str,
+    output: Path | str | None = None,
+    *,
+    pixels: bool = False,
+    allow_outside: bool = False,
+    progress: Progress = silent,
 ) -> FitResult | PixelFit:
     """Extract the traces of a recording and fit conics; or, with ``pixels``, the ridge of one picture.
 
@@ -144,6 +150,8 @@ def fit(
         Default ``./NAME-fit/``.
     pixels : bool
         Fit a single image without a recording, in pixels.
+    allow_outside : bool
+        Whether marks and images may lie outside of the file's folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -165,7 +173,7 @@ def fit(
             f"{path.name}: one photograph alone has no scale and no lens; put it into a folder with a recording.toml "
             "(camera, laser, mirror position) and marks.csv, or fit it in pixels with --pixels"
         )
-    recording = read(path, images=True)
+    recording = read(path, images=True, allow_outside=allow_outside)
     with output_folder(folder, "fit", sources(recording), {}, recording.defaults_used) as staging:
         result = replace(fit_recording(recording, progress=progress), folder=folder)
         write_fit(result, staging)
@@ -184,16 +192,21 @@ def _fit_pixels(path: Path, folder: Path) -> PixelFit:
         shared = t.shape_px[:, None, :] * t.normal[:, :, None]
         found = conics.fit(np.column_stack([t.u_px, t.v_px]), t.sigma_px * _swell(t.correlation), common=shared)
         result = PixelFit(t, found, folder)
-        header = "ridge,s_px,u_px,v_px,sigma_px,width_px,flux,skewness,saturated"
+        header = "ridge s_px u_px v_px sigma_px width_px flux skewness saturated".split()
         columns = (t.s_px, t.u_px, t.v_px, t.sigma_px, t.width_px, t.flux, t.skewness, t.saturated)
-        rows = [",".join(["0", *(f"{value:.9g}" for value in row)]) for row in zip(*columns, strict=True)]
-        write_text(staging / "trace.csv", "\n".join([header, *rows]) + "\n")
+        write_csv(staging / "trace.csv", header, ((0, *map(float, row)) for row in zip(*columns, strict=True)), 9)
         write_text(staging / "conics.json", json.dumps(result.as_dict(), indent=1) + "\n")
         # Pixels as `trace.read_image` has them: of the sensor, not turned as EXIF says.
         modes = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
         picture = np.asarray(cv2.imread(str(path), modes), float)
         pictures.overlay(
-            staging / f"overlay-{path.stem}.png", picture, np.zeros((0, 4, 2)), found.points, None, None, path.name
+            staging / f"overlay-{file_name(path.stem)}.png",
+            picture,
+            np.zeros((0, 4, 2)),
+            found.points,
+            None,
+            None,
+            path.name,
         )
     return result
 
@@ -278,7 +291,7 @@ def draw_overlay(
     main = trace.only_ridge(f.trace, 0)
     setting = f"setting {f.exposure.setting}, camera {f.exposure.camera}"
     pictures.overlay(
-        folder / f"overlay-{Path(f.exposure.image).stem}.png",
+        folder / f"overlay-{file_name(Path(f.exposure.image).stem)}.png",
         np.asarray(photograph.light, float),
         trace.to_pixels(pose, trace.board_corners(recording.screen.marks)),
         np.column_stack([main.u_px, main.v_px]),

@@ -13,6 +13,7 @@ from typing import Any
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import UNFILLED, complaints
 from benchsim.bench.marks import read_marks
+from benchsim.bench.names import printable
 from benchsim.bench.writing import write_text
 from benchsim.calibration.record import read_camera
 from benchsim.intake.filling import Shot, cameras_of, recording_toml
@@ -115,7 +116,9 @@ def new(
         Shot(taken[i], names[i], None if dark is None else names[dark], camera)
         for (i, dark), camera in zip(pairs, cameras, strict=True)
     )
-    text = recording_toml(target.resolve().name, shots, calibrated, str(marks) if marks else None, str(target))
+    text = recording_toml(
+        printable(target.resolve().name), shots, calibrated, str(marks) if marks else None, str(target)
+    )
     _put(target, [(p.path, n) for p, n in zip(taken, names, strict=True)], Path(marks) if marks else None)
     write_text(file, text)
     progress("written", 1.0)
@@ -159,6 +162,8 @@ def _names(photos: Sequence[Photo], folder: Path) -> list[str]:
     for p in photos:
         path = p.path.resolve()
         names.append(path.relative_to(home).as_posix() if path.is_relative_to(home) else p.path.name)
+        if printable(names[-1]) != names[-1]:
+            raise BenchsimError(f"{p.path}: has a line break or a control character in its name; rename it")
         if names.count(names[-1]) > 1:
             raise BenchsimError(f"{p.path}: another photograph has the same name; rename one of them")
     return names

@@ -18,9 +18,10 @@ from typing import Any
 import benchsim
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Recording
+from benchsim.bench.names import file_name, printable
+from benchsim.bench.paths import STAMP
 from benchsim.bench.writing import permit, write_text
 
-STAMP = "benchsim.json"
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-image")
 
 
@@ -29,13 +30,13 @@ def default_folder(source: Path, command: str) -> Path:
     path = source.resolve()
     if path.is_file() and path.name == "recording.toml":
         path = path.parent
-    return Path(f"{path.stem if path.is_file() else path.name}-{command}")
+    return Path(f"{file_name(path.stem if path.is_file() else path.name)}-{command}")
 
 
 def label(recording: Recording) -> str:
     """What the person calls the recording: its folder, or folder and file."""
     folder, file = recording.folder.resolve().name, recording.path.name
-    return folder if file == "recording.toml" else f"{folder}/{file}"
+    return printable(folder if file == "recording.toml" else f"{folder}/{file}")
 
 
 @contextmanager

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from benchsim.bench.writing import write_text
+from benchsim.bench.writing import write_csv, write_text
 from benchsim.instruments.mount import later_records, misses
 from benchsim.instruments.mount.json_values import finite, load
 from benchsim.instruments.mount.records import UNITS, Array, Session
@@ -208,7 +207,8 @@ def predict(
             remarks.append(f"The amended mount cannot reach the readings of {', '.join(lost)}: no triangle closes.")
         result = Prediction(later.title, later.mount.observes == "sky", records, tuple(remarks), aimed, folder)
         write_text(staging / "prediction.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
-        write_text(staging / "prediction.csv", pd.DataFrame(result.as_dict()["records"]).to_csv(index=False))
+        rows = [r.as_dict() for r in records]
+        write_csv(staging / "prediction.csv", list(rows[0]), (row.values() for row in rows))
         write_text(staging / "summary.txt", result.text() + "\n")
         if draw:
             progress("drawing", 0.8)

@@ -79,6 +79,7 @@ def render(
     conceal: bool = False,
     phone: bool = False,
     variant: str | None = None,
+    allow_outside: bool = False,
     progress: Progress = silent,
 ) -> RenderResult | PhoneResult:
     """Render a bench file as a recording folder.
@@ -103,6 +104,8 @@ def render(
         True: photographs alone, as a phone makes them, of the bench and of the board; no recording is written.
     variant : str, optional
         Mitsuba's back end.
+    allow_outside : bool
+        Whether its marks may lie outside of the file's folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -116,7 +119,7 @@ def render(
         If the bench cannot be used or the folder not be written.
     """
     source = Path(bench)
-    recording = read(source, images=False)
+    recording = read(source, images=False, allow_outside=allow_outside)
     recording = replace(recording, effects=override(recording.effects, effects))
     bench_effects.check(recording)
     folder = Path(output) if output is not None else default_folder(source, "render")

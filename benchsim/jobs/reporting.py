@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.paths import STAMP, inside
 from benchsim.bench.writing import write_text
-from benchsim.jobs.output import STAMP
 from benchsim.jobs.progress import Progress, silent
 from benchsim.report import page, page_trial
 
@@ -33,7 +33,13 @@ class ReportResult:
         return f"written: {self.path} ({self.size / 1e6:.1f} MB), the page of a {self.of}"
 
 
-def report(folder: Path | str, output: Path | str | None = None, *, progress: Progress = silent) -> ReportResult:
+def report(
+    folder: Path | str,
+    output: Path | str | None = None,
+    *,
+    allow_outside: bool = False,
+    progress: Progress = silent,
+) -> ReportResult:
     """Write one self-contained HTML file of a folder that ``run``, ``validate``, ``diagnose`` or a trial left.
 
     Parameters
@@ -42,6 +48,8 @@ def report(folder: Path | str, output: Path | str | None = None, *, progress: Pr
         Holds ``diagnosis.json``, ``validation.json`` or ``score.json``.
     output : path, optional
         The file to write; default ``report.html`` in the folder.
+    allow_outside : bool
+        Whether photographs and results may lie outside of the folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -57,7 +65,7 @@ def report(folder: Path | str, output: Path | str | None = None, *, progress: Pr
     source = Path(folder)
     target = source / NAME if output is None else Path(output)
     progress("writing the page", 0.5)
-    of, html = build(source)
+    of, html = build(source, allow_outside)
     try:
         write_text(target, html)
     except OSError as error:
@@ -66,13 +74,17 @@ def report(folder: Path | str, output: Path | str | None = None, *, progress: Pr
     return ReportResult(target, of, len(html.encode("utf-8")))
 
 
-def build(folder: Path) -> tuple[str, str]:
+def build(folder: Path, allow_outside: bool = False) -> tuple[str, str]:
     """What a finished folder holds ("diagnosis", "validation", "trial"), and its page as HTML."""
     if not folder.is_dir():
         raise BenchsimError(f"{folder}: no such folder; name one that run, diagnose or trial open wrote")
-    stamp = _read(folder, STAMP, {})
+
+    def held(name: str) -> Any:
+        return _read(inside(folder, name, f"{folder}: {name}", allow_outside=allow_outside))
+
+    stamp = held(STAMP) if (folder / STAMP).is_file() else {}
     if (folder / "score.json").is_file():
-        score = _read(folder, "score.json")
+        score = held("score.json")
         _of_format(folder / "score.json", score, page_trial.FORMAT)
         return "trial", page.trial_page(score, stamp)
     result = next((n for n in ("diagnosis.json", "validation.json") if (folder / n).is_file()), None)
@@ -86,26 +98,22 @@ def build(folder: Path) -> tuple[str, str]:
             f"{folder}: holds no page.json, without which there is nothing to draw; write the folder anew with "
             f"benchsim {'diagnose' if result == 'diagnosis.json' else 'run'}"
         )
-    found, extra = _read(folder, result), _read(folder, "page.json")
+    found, extra = held(result), held("page.json")
     _of_format(folder / "page.json", extra, page.FORMAT)
-    photographs = {
-        x["photograph"]: (folder / x["photograph"]).read_bytes()
-        for x in extra["exposures"]
-        if x["photograph"] is not None and (folder / x["photograph"]).is_file()
-    }
+    photographs = {}
+    for number, x in enumerate(extra["exposures"], 1):
+        if x["photograph"] is not None:
+            key = f"{folder / 'page.json'}: exposures[{number}].photograph"
+            path = inside(folder, x["photograph"], key, allow_outside=allow_outside)
+            if path.is_file():
+                photographs[x["photograph"]] = path.read_bytes()
     if result == "diagnosis.json":
-        pixels = _read(folder, "pixels.json", None)
+        pixels = held("pixels.json") if (folder / "pixels.json").is_file() else None
         return "diagnosis", page.diagnosis_page(found, extra, photographs, stamp, pixels)
-    return "validation", page.validation_page(found, _read(folder, "conics.json"), extra, photographs, stamp)
+    return "validation", page.validation_page(found, held("conics.json"), extra, photographs, stamp)
 
 
-_MUST: Any = object()
-
-
-def _read(folder: Path, name: str, default: Any = _MUST) -> Any:
-    path = folder / name
-    if default is not _MUST and not path.is_file():
-        return default
+def _read(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

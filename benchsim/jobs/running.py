@@ -47,6 +47,7 @@ def run(
     output: Path | str | None = None,
     *,
     variant: str | None = None,
+    allow_outside: bool = False,
     progress: Progress = silent,
 ) -> RunResult:
     """Render a bench (or take a recording's photographs), fit, validate and draw.
@@ -59,6 +60,8 @@ def run(
         Default ``./NAME-run/``, ``./fig7-run/`` without a file.
     variant : str, optional
         Mitsuba's back end, where something is rendered.
+    allow_outside : bool
+        Whether marks and images may lie outside of the file's folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -76,7 +79,7 @@ def run(
         folder = Path(output) if output is not None else Path(f"{name}-run")
     else:
         source = Path(file)
-        recording = read(source)
+        recording = read(source, allow_outside=allow_outside)
         inputs = sources(recording)
         folder = Path(output) if output is not None else default_folder(source, "run")
     photographed = [e.image is not None for e in recording.exposures]

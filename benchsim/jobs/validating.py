@@ -79,7 +79,11 @@ class ValidationResult:
 
 
 def validate(
-    recording: Path | str, output: Path | str | None = None, *, progress: Progress = silent
+    recording: Path | str,
+    output: Path | str | None = None,
+    *,
+    allow_outside: bool = False,
+    progress: Progress = silent,
 ) -> ValidationResult:
     """Compare every trace of a recording with the vector model.
 
@@ -89,6 +93,8 @@ def validate(
         Recording folder or file.
     output : path, optional
         Default ``./NAME-validate/``.
+    allow_outside : bool
+        Whether marks and images may lie outside of the file's folder, see `paths.inside`.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -103,7 +109,7 @@ def validate(
     """
     source = Path(recording)
     folder = Path(output) if output is not None else default_folder(source, "validate")
-    checked = read(source, images=True)
+    checked = read(source, images=True, allow_outside=allow_outside)
     with output_folder(folder, "validate", sources(checked), {}, checked.defaults_used) as staging:
         fitted = fit_recording(checked, progress=lambda what, done: progress(what, 0.5 * done))
         found = validate_fit(fitted, progress=lambda what, done: progress(what, 0.5 + 0.4 * done))

@@ -9,16 +9,18 @@ from __future__ import annotations
 import os
 import pickle
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import lru_cache
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of processes: numerical libraries read it when they are loaded, that is when a process starts."""
 
 MOST = 8
 """Processes at most: each holds a picture and its profiles."""
@@ -91,31 +93,49 @@ def workers(count: int | None = None) -> Iterator[Workers]:
         if number < 2:
             yield Workers(None, Path(folder), 1)
             return
-        before = {key: os.environ.get(key) for key in ONE_THREAD}
-        # Numerical libraries read these when they are loaded, that is when a worker starts.
-        os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-        try:
-            pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_begin)
+        with environment(ONE_THREAD):
+            pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=begin)
             try:
                 yield Workers(pool, Path(folder), number)
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
-        finally:
-            for key, value in before.items():
-                if value is None:
-                    os.environ.pop(key, None)
-                else:
-                    os.environ[key] = value
 
 
-def _begin() -> None:
+@contextmanager
+def environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Variables of the processes that are started within; this one's are then as they were."""
+    before = {key: os.environ.get(key) for key in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for key, value in before.items():
+            if value is None:
+                os.environ.pop(key, None)
+            else:
+                os.environ[key] = value
+
+
+def begin() -> None:
+    """What every process does first: one thread for OpenCV, no Ctrl-C of its own, and an end when its parent's comes.
+
+    The terminal's Ctrl-C goes to all processes; the job ends those it started itself. A parent that was killed cannot,
+    but the pipe that it held is then closed.
+    """
     import signal
 
     import cv2
 
-    # The terminal's Ctrl-C goes to all processes; the job ends its workers itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 @lru_cache(maxsize=4)

@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from benchsim.bench.writing import write_bytes
@@ -52,6 +53,10 @@ class Trace2D:
 
 
 def _save(figure: Figure, path: Path, dpi: int = 130) -> None:
+    for text in figure.findobj(Text):
+        # A dollar in a name begins no formula; powers on logarithmic axes are Matplotlib's own.
+        if "$" in text.get_text() and "\\mathdefault" not in text.get_text():
+            text.set_parse_math(False)
     picture = io.BytesIO()
     figure.savefig(picture, dpi=dpi, format="png", facecolor="white")
     write_bytes(path, picture.getvalue())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.writing import write_text
+from benchsim.bench.writing import write_csv
 from benchsim.trace.pose import Pose
 
 Array = NDArray[np.float64]
@@ -219,14 +217,12 @@ def write_table(path: str | Path, traces: Iterable[Trace]) -> None:
     """
     path = Path(path)
     try:
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(HEADER)
-        for trace in traces:
-            columns = [getattr(trace, c) for c in HEADER[2:]]
-            for i in range(len(trace)):
-                writer.writerow([trace.exposure, int(trace.ridge[i]), *(f"{c[i]:.9g}" for c in columns)])
-        write_text(path, text.getvalue())
+        rows = (
+            (trace.exposure, int(trace.ridge[i]), *(float(getattr(trace, c)[i]) for c in HEADER[2:]))
+            for trace in traces
+            for i in range(len(trace))
+        )
+        write_csv(path, HEADER, rows, 9)
     except OSError as error:
         raise BenchsimError(
             f"{path}: cannot be written ({error.strerror}); choose a folder that exists and is writable"

@@ -13,7 +13,7 @@ from typing import Any
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
-from benchsim.jobs.cluster import Each, beside, cluster
+from benchsim.jobs.cluster import Each, Scheduler, beside, cluster
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trial import cases as making
 from benchsim.trial import draws, equalised, ledger
@@ -65,7 +65,7 @@ def conceal(
     seed: int | None = None,
     shrink: int = 2,
     zero: bool = False,
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
     workers: int | None = None,
     make: Make = making.make,
     certificate: Certify = certified,

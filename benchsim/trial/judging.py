@@ -15,7 +15,7 @@ from typing import Any
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read
 from benchsim.bench.writing import write_text
-from benchsim.jobs.cluster import Each, beside, cluster
+from benchsim.jobs.cluster import Each, Scheduler, beside, cluster
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trial import ledger
 from benchsim.trial.hashing import canonical, code, files_of
@@ -59,7 +59,7 @@ def judge(
     output: Path | str,
     *,
     again: Sequence[str] = (),
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
     workers: int | None = None,
     diagnose: Diagnose | None = None,
     progress: Progress = silent,

@@ -8,20 +8,21 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.jobs.cluster import Scheduler
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trial import ledger
 from benchsim.trial.concealing import conceal
 from benchsim.trial.opening import OpenResult, open
 from benchsim.trial.verifying import verify
 
-Judge = Callable[[Path, Path, str | None, int | None], None]
+Judge = Callable[[Path, Path, Scheduler | None, int | None], None]
 """judge(recordings, verdicts, scheduler, workers)."""
 
 
-def apart(recordings: Path, verdicts: Path, scheduler: str | None, workers: int | None) -> None:
+def apart(recordings: Path, verdicts: Path, scheduler: Scheduler | None, workers: int | None) -> None:
     """Judge in a process of its own that is told two folders, of recordings and for verdicts, and nothing else."""
     command = [sys.executable, "-m", "benchsim", "trial", "judge", str(recordings), "-o", str(verdicts)]
-    command += ["--scheduler", scheduler] if scheduler else []
+    command += scheduler.options() if scheduler else []
     command += ["--workers", str(workers)] if workers is not None else []
     done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
     if done.returncode != 0:
@@ -35,7 +36,7 @@ def run(
     seed: int | None = None,
     shrink: int = 2,
     zero: bool = False,
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
     workers: int | None = None,
     judge: Judge = apart,
     progress: Progress = silent,
@@ -47,10 +48,8 @@ def run(
     output : path
     cases, seed, shrink, zero
         As `conceal`.
-    scheduler : str, optional
-        Of a running Dask cluster that sees the same folders.
-    workers : int, optional
-        Local processes where there is none; default one per core.
+    scheduler, workers
+        What the cases run on, see `cluster.cluster`.
     judge : callable
         See `Judge`.
 

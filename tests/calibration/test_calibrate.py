@@ -198,7 +198,7 @@ def test_pictures_that_do_not_belong_together_are_refused(tmp_path, photographs)
         (("benchsim-camera/1", "benchsim-camera/2"), "format"),
         (("focal_px", "focal_mm"), r"cameras\.phone\.focal_px"),
         (('"k1"', '"q1"'), r"calibration\.covariance"),
-        (("[cameras", "[[cameras"), "cannot be read as TOML"),
+        (("[cameras", "[[cameras"), "not valid TOML"),
     ],
 )
 def test_a_damaged_camera_file_is_refused(result, tmp_path, change, says):

@@ -78,6 +78,14 @@ def test_bad_heliostats_are_said_and_the_others_go_on(plant, tmp_path):
     assert any("is no JSON" in s for s in found.lost) and any("2 records" in s for s in found.lost)
 
 
+def test_a_field_of_bad_heliostats_alone_is_one_sentence(plant, tmp_path):
+    for properties in plant.glob("*/heliostat-properties.json"):
+        properties.write_text("{")
+    with pytest.raises(BenchsimError, match=r"not one heliostat can be used; the first: .*is no JSON") as caught:
+        field(plant, tmp_path / "out", workers=0)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.names import printable
 from benchsim.instruments.mount import paint_heliostat, solar, stamps
 from benchsim.instruments.mount.geodesy import enu
 from benchsim.instruments.mount.json_values import load, number, triple, value
@@ -92,7 +93,9 @@ def read(folder: Path, tower: Path | None = None) -> Session:
     heliostat = heliostat_of(folder)
     mount, absent = paint_heliostat.read(heliostat, tower)
     records, files, remarks = records_of(folder, tower, mount)
-    return Session(folder.resolve().name, folder, (*files, heliostat, tower), mount, records, (*remarks, *absent))
+    return Session(
+        printable(folder.resolve().name), folder, (*files, heliostat, tower), mount, records, (*remarks, *absent)
+    )
 
 
 def bare(path: Path, tower: Path | None = None) -> Session:
@@ -101,7 +104,7 @@ def bare(path: Path, tower: Path | None = None) -> Session:
     tower = tower if tower is not None else find_tower(heliostat.parent)
     mount, remarks = paint_heliostat.read(heliostat, tower)
     none = Records((), np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3)), ())
-    return Session(path.resolve().stem, path, (heliostat, tower), mount, none, remarks)
+    return Session(printable(path.resolve().stem), path, (heliostat, tower), mount, none, remarks)
 
 
 def holds_recordings(folder: Path) -> bool:
@@ -139,7 +142,7 @@ def records_of(folder: Path, tower: Path, mount: Mount) -> tuple[Records, tuple[
         raise BenchsimError(f"{folder}: no recording has a focal spot; add measured ones")
     used = [p for (p, _), _ in found]
     reading, seen, spot, target, methods, others = zip(*(row for _, row in found), strict=True)
-    names = tuple(p.name[: -len(CALIBRATION[0]) + 1] for p in used)
+    names = tuple(printable(p.name[: -len(CALIBRATION[0]) + 1]) for p in used)
     spots = np.array(spot)
     said, spot_sigma = _methods(names, methods, spots, np.array(others))
     times, stamped = stamps.read([one for one, _ in found], _name(used[0].parent))
@@ -235,7 +238,7 @@ def _recording(
         )
     target = value(path, data, "target_name")
     targets = [k for k in plant if k != "power_plant_properties"]
-    if target not in targets:
+    if target not in targets or printable(target) != target:
         known = ", ".join(targets)
         raise BenchsimError(f"{path}: target_name: {target!r} is not in {tower} ({known}); name the right tower file")
     spots = value(path, data, "focal_spot")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.names import printable
 from benchsim.instruments.mount import conventions, mmt_log, tpoint
 from benchsim.instruments.mount.header import Run
 from benchsim.instruments.mount.records import Array, Mount, Records, Session, toward
@@ -78,7 +79,9 @@ def read(path: Path) -> Session:
     )
     names = tuple(f"star {k + 1} (line {line})" for k, line in enumerate(run.lines))
     records = Records(names, raw, toward(true[:, 0], true[:, 1]), np.full((len(names), 3), np.nan), ("",) * len(names))
-    return Session(path.stem, path, (path,), Mount("az-el", "sky", latitude=latitude), records, tuple(remarks))
+    return Session(
+        printable(path.stem), path, (path,), Mount("az-el", "sky", latitude=latitude), records, tuple(remarks)
+    )
 
 
 def _lines(path: Path) -> list[str]:

@@ -36,9 +36,11 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from tomlkit.exceptions import ParseError
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.names import printable
+from benchsim.bench.paths import inside
+from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
 from benchsim.instruments.mount import effects, functions, paint, pointing
 from benchsim.instruments.mount import problem as mount_problem
@@ -80,14 +82,14 @@ def read(path: Path, tower: Path | None = None) -> Session:
         return paint.read(path, tower)
     if path.suffix != ".toml":
         return pointing.read(path)
-    data = _toml(path)
+    data = load_toml(path)
     unknown = sorted(set(data) - _KEYS)
     if unknown:
         raise BenchsimError(f"{path}: {unknown[0]}: is no key; the keys are {', '.join(sorted(_KEYS))}")
     named = data.get("recordings")
     if not isinstance(named, str):
         raise BenchsimError(f"{path}: recordings: {named!r} is no path; name a PAINT folder or a pointing file")
-    where = path.parent / named
+    where = inside(path.parent, named, f"{path}: recordings", allow_outside=True)
     if not where.exists() or (where.is_file() and where.suffix == ".toml"):
         raise BenchsimError(f"{path}: recordings: {where} does not exist or is no recording; correct the path")
     stated, found = data.get("tower"), data.get("effects", {})
@@ -95,9 +97,11 @@ def read(path: Path, tower: Path | None = None) -> Session:
         raise BenchsimError(f"{path}: tower: {stated!r} is no path; name the file of the tower")
     if not isinstance(found, dict) or not all(isinstance(v, dict) for v in found.values()):
         raise BenchsimError(f"{path}: effects: is no table of effects; write [effects.NAME] with a line per parameter")
-    session = read(where, tower or (path.parent / stated if stated is not None else None))
+    if stated is not None and tower is None:
+        tower = inside(path.parent, stated, f"{path}: tower", allow_outside=True)
+    session = read(where, tower)
     _check(path, session, found)
-    session = replace(session, title=path.stem, path=path, files=(path, *session.files), effects=found)
+    session = replace(session, title=printable(path.stem), path=path, files=(path, *session.files), effects=found)
     session = replace(session, fields=_functions(path, session, data.get("fields", {})))
     if "prediction" not in data:
         return session
@@ -117,8 +121,8 @@ def write(
     """Write a session with stated effects and functions so that it stands in the folder ``target``."""
     source, tower = session.path, None
     if session.path.suffix == ".toml":
-        data = _toml(session.path)
-        source = session.path.parent / str(data["recordings"])
+        data = load_toml(session.path)
+        source = inside(session.path.parent, data["recordings"], f"{session.path}: recordings", allow_outside=True)
     if source.is_dir():
         tower = session.files[-1]
     document = tomlkit.document()
@@ -219,15 +223,6 @@ def _learnt(path: Path, session: Session, table: Any) -> Learnt:
         )
     zeros = numbers("zeros_arcsec", (2,)) * UNITS["arcsec"] if sky else None
     return Learnt(sigma, tuple(names), covariance, zeros, change)
-
-
-def _toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomlkit.parse(path.read_text(encoding="utf-8-sig")).unwrap()
-    except OSError as error:
-        raise BenchsimError(f"{path}: cannot be read ({error.strerror}); name a file") from None
-    except (ParseError, UnicodeDecodeError) as error:
-        raise BenchsimError(f"{path}: is no TOML ({error}); mend the file") from None
 
 
 def _check(path: Path, session: Session, found: Mapping[str, Mapping[str, Any]]) -> None:
