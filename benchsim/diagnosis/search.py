@@ -66,12 +66,13 @@ def search(
         Where fits ended when the same data were searched with noise that was estimated worse: they begin there.
     """
     s = Search(context, catalogue, {(): null.fit.log_evidence}, {(): ()}, {(): null}, stated, earlier)
-    first = [(n,) for n in s.names] + _wholes(s)
+    # How settings act changes with what bends the data: without exact derivatives such a fit gets lost, and so does the
+    # right start of several in their first steps.
+    lost = [(n,) for n in s.names if n in s.bending and strayed(context, null)]
     tell("fitting single effects", 0.4)
-    _fit(s, first)
-    if strayed(context, null):
-        # How settings act changes with what bends the data: without exact derivatives such a fit gets lost.
-        _exactly(s, [(n,) for n in s.names if n in s.bending])
+    _fit(s, [(n,) for n in s.names if (n,) not in lost] + _wholes(s))
+    many = [replace(start, race=None) for effects in lost for start in starts(s, effects)]
+    _keep(s, fitted(context, many, {e: s.prior(e) for e in lost}, renewals=RENEWALS))
     for turn in range(ROUNDS):
         tell(f"fitting {' + '.join(s.best().fit.effects) or 'settings'} and its like", 0.5 + 0.4 * turn / ROUNDS)
         _settle(s)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +27,9 @@ Array = NDArray[np.float64]
 VALLEYS = 3
 """Minima of an amplitude's own curve, or best places of an effect that has a place, from which a fit begins."""
 
-SIZES = (0.25, 0.5, 1.0, 2.0)
-"""Prior sigmas to either side at which what bends the data is tried."""
+SIZES = np.linspace(-2.0, 2.0, 7)
+"""Prior sigmas at which what bends the data is tried, each amplitude of an effect beside all of the others: valleys are
+narrow, and of a coma of 14 sigma along one axis no start on the diagonals found its own."""
 
 AMPLITUDES = np.concatenate([-np.geomspace(2.5, 0.02, 12), [0.0], np.geomspace(0.02, 2.5, 12)])
 """Prior sigmas at which that curve is looked at, before `POLISHED` steps to each of its minima."""
@@ -50,7 +50,7 @@ class Place:
 def starts(s: Search, effects: Effects) -> list[Start]:
     """Where the fit of a set begins."""
     h = s.hypothesis(effects)
-    if effects in s.earlier:
+    if effects in s.earlier and not (len(effects) == 1 and effects[0] in s.bending):
         begun = s.earlier[effects]
         return [Start(h, begun.point, s.context.whiten(begun.nuisance), begun.scale)]
     out: list[Start] = []
@@ -106,20 +106,22 @@ def _straight(s: Search, name: str) -> dict[str, Array]:
 
 
 def _either(s: Search, h: Hypothesis, kept: Mapping[str, Place], name: str) -> list[Place]:
-    """Amplitudes of either sign from which a fit of what acts by its square begins at the stated settings.
+    """Amplitudes from which a fit of what acts by its square begins at the stated settings.
 
-    Those whose predictions beside what is kept, settings integrated to first order, leave least: a small coma leads to
-    none of 2 sigma.
+    Those whose predictions beside what is kept, settings integrated to first order, leave less than all about them: a
+    small coma leads to none of 2 sigma.
     """
     own = evidence.amplitudes(s.catalogue.effects[name])
-    sides = [(1.0,) if evidence.kind(a) else (-1.0, 1.0) for a in own]
-    unit = np.array([a.sigma**a.power for a in own])
-    many = [Place(0.0, size * np.array(signs) * unit, np.zeros(0)) for size in SIZES for signs in product(*sides)]
+    axes = [SIZES[SIZES >= 0] if evidence.kind(a) else SIZES for a in own]
+    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) * [a.sigma**a.power for a in own]
+    many = [Place(0.0, q, np.zeros(0)) for q in mesh.reshape(-1, len(own))]
     p = np.zeros(len(s.context.problem.nuisances))
     asked = [values(s.context.problem, h, _point(s, h, p, {**kept, name: place})) for place in many]
     left = s.context.whiten(s.context.problem.data[:, None] - np.column_stack(s.context.predict(asked)))
     chi2 = np.diag(linear.marginal(s.stated.fit.linear, left, s.done[()].fit.setting_scale).gram)
-    return [many[i] for i in np.argsort(chi2) if np.isfinite(chi2[i])][:VALLEYS]
+    chi2 = np.where(np.isfinite(chi2), chi2, np.inf).reshape(mesh.shape[:-1])
+    lowest = np.flatnonzero((chi2 == minimum_filter(chi2, 3, mode="nearest")) & np.isfinite(chi2))
+    return [many[i] for i in lowest[np.argsort(chi2.ravel()[lowest])]][:VALLEYS]
 
 
 def _anew(s: Search, parent: Solved, name: str) -> list[Place]:

@@ -13,7 +13,7 @@ import pytest
 
 from benchsim.diagnosis import naming
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
-from benchsim.diagnosis.shapes import faint, spread, widened
+from benchsim.diagnosis.shapes import spread, widened
 
 X = np.linspace(-1, 1, 40)
 BUMP = Effect(
@@ -65,7 +65,6 @@ def test_a_faint_bump_is_as_far_off_as_is_said_and_the_curvature_does_not_know_i
         truth = {"bump": rng.standard_normal(), "at": rng.uniform(-0.9, 0.9)}
         problem = line(**truth, noise=0.6, seed=100 + k)
         fit, covariance = fitted(problem)
-        assert faint(BUMP, fit)
         sigma = spread(problem, covariance, fit, BUMP)
         off = np.array([fit.values[n] - truth[n] for n in truth])
         curvature.append(off / [fit.sigma[n] for n in truth])
@@ -90,7 +89,7 @@ def test_the_same_data_give_the_same_numbers():
     assert spread(problem, covariance, fit, BUMP) == spread(problem, covariance, fit, BUMP)
 
 
-def test_only_what_is_faint_and_stated_is_widened():
+def test_only_what_is_stated_is_widened():
     problem = line(bump=1.0, at=0.2, noise=0.6, seed=2)
     fit, covariance = fitted(problem)
     assert widened(problem, covariance, fit, ()).sigma == fit.sigma
@@ -99,4 +98,4 @@ def test_only_what_is_faint_and_stated_is_widened():
     assert wide.sigma["level"] == fit.sigma["level"]
     sharp = line(bump=1.0, at=0.2, noise=0.02, seed=2)
     fit, covariance = fitted(sharp)
-    assert widened(sharp, covariance, fit, ("bump",)).sigma == fit.sigma
+    assert widened(sharp, covariance, fit, ("bump",)).sigma == pytest.approx(fit.sigma, rel=0.1)
