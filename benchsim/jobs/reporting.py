@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.paths import STAMP, inside
+from benchsim.bench.reading import load_json, read_file
 from benchsim.bench.writing import write_text
 from benchsim.jobs.progress import Progress, silent
 from benchsim.report import page, page_trial
@@ -80,7 +80,7 @@ def build(folder: Path, allow_outside: bool = False) -> tuple[str, str]:
         raise BenchsimError(f"{folder}: no such folder; name one that run, diagnose or trial open wrote")
 
     def held(name: str) -> Any:
-        return _read(inside(folder, name, f"{folder}: {name}", allow_outside=allow_outside))
+        return load_json(inside(folder, name, f"{folder}: {name}", allow_outside=allow_outside))
 
     stamp = held(STAMP) if (folder / STAMP).is_file() else {}
     if (folder / "score.json").is_file():
@@ -106,20 +106,11 @@ def build(folder: Path, allow_outside: bool = False) -> tuple[str, str]:
             key = f"{folder / 'page.json'}: exposures[{number}].photograph"
             path = inside(folder, x["photograph"], key, allow_outside=allow_outside)
             if path.is_file():
-                photographs[x["photograph"]] = path.read_bytes()
+                photographs[x["photograph"]] = read_file(path)
     if result == "diagnosis.json":
         pixels = held("pixels.json") if (folder / "pixels.json").is_file() else None
         return "diagnosis", page.diagnosis_page(found, extra, photographs, stamp, pixels)
     return "validation", page.validation_page(found, held("conics.json"), extra, photographs, stamp)
-
-
-def _read(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BenchsimError(f"{path}: cannot be read ({error.strerror}); write the folder anew") from None
-    except ValueError:
-        raise BenchsimError(f"{path}: is no JSON; write the folder anew") from None
 
 
 def _of_format(path: Path, value: Any, wanted: str) -> None:
