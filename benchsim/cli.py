@@ -59,6 +59,11 @@ def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
     except BenchsimError as error:
         typer.echo(f"benchsim: {error}", err=True)
         raise typer.Exit(1) from None
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        typer.echo(f"benchsim: {str(error.filename)[:60]}…: longer than names of files may be; shorten it", err=True)
+        raise typer.Exit(1) from None
     except KeyboardInterrupt:
         typer.echo("benchsim: stopped; nothing is left half-written", err=True)
         raise typer.Exit(130) from None
