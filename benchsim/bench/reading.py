@@ -15,6 +15,8 @@ MIB = 2**20
 TOML_BYTES, TABLE_BYTES, JSON_BYTES, PICTURE_BYTES = MIB, 16 * MIB, 64 * MIB, 512 * MIB
 """Largest files that are read; the page of the format lists them."""
 
+_KIND = {TOML_BYTES: "a TOML file", TABLE_BYTES: "a table", JSON_BYTES: "a JSON file", PICTURE_BYTES: "a picture"}
+
 MOST_PIXELS = 50_000_000
 """Of a picture: the largest sensors of phones, as they are read out in full; 16 bits in colour are 300 MB."""
 
@@ -41,7 +43,7 @@ def read_file(path: Path, most: int = PICTURE_BYTES) -> bytes:
                 raise BenchsimError(f"{path}: is no ordinary file; give a file that is stored on the disk")
             if found.st_size > most:
                 raise BenchsimError(
-                    f"{path}: has {found.st_size} bytes and may have {most // MIB} MiB; check that it is the right file"
+                    f"{path}: has {found.st_size} bytes, {_KIND.get(most, 'it')} may have {most // MIB} MiB; check its name"
                 )
             return file.read(most)
     except OSError as error:

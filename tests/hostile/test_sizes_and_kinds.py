@@ -85,7 +85,7 @@ def png(width, height):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     packer = zlib.compressobj(9)
-    rows = b"".join(packer.compress(bytes(2 * width + 1)) for _ in range(min(height, 2000))) + packer.flush()
+    rows = b"".join(packer.compress(bytes(2 * width + 1)) for _ in range(min(height, 100))) + packer.flush()
     header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
 
@@ -104,7 +104,7 @@ def jpeg(width, height):
 
 
 @pytest.mark.parametrize("made", [png, tiff, jpeg])
-@pytest.mark.parametrize("side", [8000, 16000, 60000])
+@pytest.mark.parametrize("side", [8000, 16000])
 def test_a_small_file_of_many_pixels_is_not_unpacked(made, side, tmp_path):
     (tmp_path / "p.png").write_bytes(made(side, side))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
