@@ -43,7 +43,7 @@ def read_file(path: Path, most: int = PICTURE_BYTES) -> bytes:
                 raise BenchsimError(f"{path}: is no ordinary file; give a file that is stored on the disk")
             if found.st_size > most:
                 raise BenchsimError(
-                    f"{path}: has {found.st_size} bytes, {_KIND.get(most, 'it')} may have {most // MIB} MiB; check its name"
+                    f"{path}: has {found.st_size} bytes, {_KIND[most]} may have {most // MIB} MiB; check its name"
                 )
             return file.read(most)
     except OSError as error:
