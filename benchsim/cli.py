@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -57,16 +59,32 @@ def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
     except BenchsimError as error:
         typer.echo(f"benchsim: {error}", err=True)
         raise typer.Exit(1) from None
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        typer.echo(f"benchsim: {str(error.filename)[:60]}…: longer than names of files may be; shorten it", err=True)
+        raise typer.Exit(1) from None
     except KeyboardInterrupt:
         typer.echo("benchsim: stopped; nothing is left half-written", err=True)
         raise typer.Exit(130) from None
     if as_json:
         import json
 
-        typer.echo(json.dumps(result.as_dict(), indent=1, allow_nan=False))
+        text = json.dumps(result.as_dict(), indent=1, allow_nan=False)
     else:
-        typer.echo(printable(result.summary(), breaks="\n"))
+        text = printable(result.summary(), breaks="\n")
+    try:
+        typer.echo(text)
+    except OSError as error:
+        _unprinted(error)
     return result
+
+
+def _unprinted(error: OSError) -> NoReturn:
+    """What a person reads if the output went nowhere; what is left in its buffer would fail again at the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    typer.echo(f"benchsim: the output cannot be printed ({error.strerror}); free the disk or read to its end", err=True)
+    sys.exit(1)
 
 
 @app.callback()
@@ -513,7 +531,13 @@ def check(
 
 def main() -> None:
     """Entry point of the console script."""
-    app()
+    try:
+        app()
+    except OSError as error:
+        # Of help, which the parser prints itself; a file that cannot be written has a name.
+        if error.filename or error.errno not in (errno.ENOSPC, errno.EPIPE, errno.EIO):
+            raise
+        _unprinted(error)
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ from benchsim.bench.model import (
 )
 from benchsim.bench.paths import inside
 from benchsim.bench.place import aim
+from benchsim.bench.reading import MOST_PIXELS
 from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write
 
@@ -192,9 +193,8 @@ def _mend(kind: str, first: Any, value: Any) -> str:
         return f"{shown} is not finite; give a finite number"
     if kind in ("too_short", "too_long"):
         want = ctx.get("min_length", ctx.get("max_length"))
-        return (
-            f"{shown} has {ctx.get('actual_length')} entries; {'at least ' if kind == 'too_short' else ''}{want} needed"
-        )
+        limit = "at least" if kind == "too_short" else "at most"
+        return f"{shown} has {len(value)} entries; {limit} {want} are"
     if kind == "list_type":
         return f"{shown} is not a list; write it in brackets"
     if kind == "literal_error":
@@ -361,6 +361,8 @@ def _defaults(f: schema.RecordingFile) -> list[str]:
 def _check(recording: Recording, file: Path, images: bool | None, allow_outside: bool) -> None:
     for name, camera in recording.cameras.items():
         key = f"{file.name}: cameras.{name}"
+        if math.prod(camera.resolution) > MOST_PIXELS:
+            raise BenchsimError(f"{key}.resolution_px: more than {MOST_PIXELS / 1e6:.0f} million pixels; mend it")
         if camera.saturation_level <= camera.black_level:
             raise BenchsimError(f"{key}.saturation_level: not above black_level; mend one of them (counts)")
         if camera.saturation_level > 2**camera.bit_depth - 1:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.reading import file_hash, load_json
 
 STAMP = "benchsim.json"
 """In every folder that benchsim wrote: the command, hashes of its inputs, versions, options and defaults."""
@@ -54,7 +53,7 @@ def inside(folder: Path, name: Any, key: str, *, allow_outside: bool = False) ->
 def _was_read(path: Path, folder: Path) -> bool:
     """Whether a file is one that the folder's writer had."""
     try:
-        read = json.loads((folder / STAMP).read_text(encoding="utf-8"))["inputs"].values()
-        return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() in read
+        read = load_json(folder / STAMP)["inputs"].values()
+        return path.is_file() and file_hash(path) in read
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return False

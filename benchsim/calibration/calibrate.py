@@ -16,7 +16,8 @@ from benchsim.calibration import exif
 from benchsim.calibration.advice import Advice, advise
 from benchsim.calibration.focus import Change, focal, principal_point, refocused
 from benchsim.calibration.solve import FEWEST_VIEWS, Bundle, solve
-from benchsim.trace.image import read_counts, read_image
+from benchsim.trace.counts import read_counts
+from benchsim.trace.image import read_image
 from benchsim.trace.marks import GAMMA_RANGE, MarkObservations, find_marks
 
 Each = Callable[..., Iterable[Any]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,10 @@ not move: another number is another lens."""
 def directories(path: Path) -> tuple[dict[int, Any], dict[int, Any]]:
     """EXIF's first directory and its own one; empty where there is none or it cannot be read."""
     try:
-        with Image.open(path) as picture:
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as picture:
             exif = picture.getexif()
             return dict(exif), dict(exif.get_ifd(_IFD))
-    except (OSError, ValueError, SyntaxError, TypeError, KeyError, Image.DecompressionBombError):
+    except Exception:  # Pillow lets through whatever its parsers stumble on.
         return {}, {}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,8 +116,8 @@ def _number(x: float) -> float:
 def is_camera(path: Path) -> bool:
     """Whether a file is a ``camera.toml``: only such a one is overwritten."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8")).get("format") == FORMAT
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return load_toml(path).get("format") == FORMAT
+    except BenchsimError:
         return False
 
 

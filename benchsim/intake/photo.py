@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchsim.bench.names import printable
 from benchsim.calibration.exif import directories
-from benchsim.trace.image import read_counts
+from benchsim.trace.counts import read_counts
 
 SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".heic", ".heif", ".avif"}
 """Of what is taken for a photograph in a folder. HEIC is among them so that it is refused by name, not passed over."""
@@ -99,7 +99,7 @@ def read_photo(path: Path) -> tuple[Photo, NDArray]:
             resolution=(w, h),
             bit_depth=16 if counts.dtype == np.uint16 else 8,
             lossy=lossy,
-            orientation=int(tags.get(0x0112, 1) or 1),
+            orientation=int(_number(tags.get(0x0112)) or 1),
             time=_time(own),
             exposure=_number(own.get(0x829A)),
             iso=_number(own.get(0x8827)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Marks
 from benchsim.bench.paths import STAMP
+from benchsim.bench.reading import load_json
 from benchsim.bench.writing import write_marks
 from benchsim.board import PAPERS, Layout, corrected, draw, lay_out, tiles, whole, write_pdf, write_svg
 from benchsim.board.layout import RULE
@@ -152,9 +152,9 @@ def _options(folder: Path, printed: bool, given: dict[str, Any]) -> dict[str, An
     options = {"size": (700.0, 700.0), "side": 36.0, "paper": "sheet"}
     if printed:
         try:
-            stamp = json.loads((folder / STAMP).read_text(encoding="utf-8"))
+            stamp = load_json(folder / STAMP)
             before = {key: stamp["options"][key] for key in options} if stamp["command"] == "board" else None
-        except (OSError, ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError):
             before = None
         if before is not None:
             before["size"] = tuple(before["size"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from benchsim.bench.files import complaints, read, sources
 from benchsim.bench.model import Recording
 from benchsim.bench.names import printable
 from benchsim.bench.paths import inside
+from benchsim.bench.reading import file_hash
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
@@ -205,7 +205,7 @@ def _pictures(r: Recording, progress: Progress) -> list[Finding]:
         progress(f"looking at {e.name}", i / len(r.exposures))
         assert e.image is not None
         image, dark = r.folder / e.image, r.folder / e.dark if e.dark else None
-        twin = same.setdefault(hashlib.sha256(image.read_bytes()).hexdigest(), e.image)
+        twin = same.setdefault(file_hash(image), e.image)
         if twin != e.image:
             says = f"is the same picture as {twin}; mend image"
             out.append(Finding(Kind.inconsistent, e.image, says))

@@ -25,6 +25,7 @@ from threadpoolctl import threadpool_limits
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.names import file_name
 from benchsim.bench.paths import inside
+from benchsim.bench.reading import TABLE_BYTES, file_hash, load_json, read_file
 from benchsim.bench.writing import write_csv, write_text
 from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, wrong_days
 from benchsim.instruments.mount.records import UNITS, Session
@@ -243,8 +244,8 @@ def heliostats(source: Path, tower: Path | None, allow_outside: bool = False) ->
 
 def _listed(source: Path, tower: Path | None, allow_outside: bool) -> list[Heliostat]:
     try:
-        rows = list(csv.DictReader(io.StringIO(source.read_text(encoding="utf-8-sig"))))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.DictReader(io.StringIO(read_file(source, TABLE_BYTES).decode("utf-8-sig"))))
+    except (UnicodeDecodeError, csv.Error) as error:
         raise BenchsimError(f"{source}: is no list of heliostats ({error}); write a CSV with id and path") from None
     out: dict[str, Heliostat] = {}
     for number, row in enumerate(rows, 2):
@@ -295,7 +296,7 @@ def row_of(
     kept = target / ROW
     if kept.is_file():
         try:
-            row: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
+            row: dict[str, Any] = load_json(kept)
         except ValueError:
             row = {}
         if row.get("key") == key:
@@ -317,7 +318,7 @@ def _key(session: Session, shared: Sequence[Shared], together: bool, draw: bool)
     """Of everything that a heliostat's result rests on."""
     digest = hashlib.sha256()
     for path in session.files:
-        digest.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+        digest.update(path.name.encode() + b"\0" + file_hash(path).encode())
     digest.update(json.dumps([[asdict(s) for s in shared], together, draw], sort_keys=True).encode())
     return digest.hexdigest()
 

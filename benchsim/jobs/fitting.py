@@ -23,6 +23,7 @@ from benchsim.bench.writing import write_csv, write_text
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.report import pictures
+from benchsim.trace.counts import read_counts
 
 Array = NDArray[np.float64]
 
@@ -198,7 +199,7 @@ def _fit_pixels(path: Path, folder: Path) -> PixelFit:
         write_text(staging / "conics.json", json.dumps(result.as_dict(), indent=1) + "\n")
         # Pixels as `trace.read_image` has them: of the sensor, not turned as EXIF says.
         modes = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-        picture = np.asarray(cv2.imread(str(path), modes), float)
+        picture = np.asarray(read_counts(path, modes)[0], float)
         pictures.overlay(
             staging / f"overlay-{file_name(path.stem)}.png",
             picture,

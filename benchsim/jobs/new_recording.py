@@ -14,6 +14,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import UNFILLED, complaints
 from benchsim.bench.marks import read_marks
 from benchsim.bench.names import printable
+from benchsim.bench.reading import file_hash
 from benchsim.bench.writing import write_text
 from benchsim.calibration.record import read_camera
 from benchsim.intake.filling import Shot, cameras_of, recording_toml
@@ -177,7 +178,7 @@ def _put(folder: Path, pictures: Sequence[tuple[Path, str]], marks: Path | None)
             target = folder / name
             if target.resolve() == source.resolve():
                 continue
-            if target.exists() and target.read_bytes() != source.read_bytes():
+            if target.exists() and file_hash(target) != file_hash(source):
                 raise BenchsimError(f"{target}: is already there and differs from {source}; name another folder")
             shutil.copy2(source, target)
     except OSError as error:

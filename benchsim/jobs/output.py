@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 import shutil
@@ -20,6 +19,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Recording
 from benchsim.bench.names import file_name, printable
 from benchsim.bench.paths import STAMP
+from benchsim.bench.reading import file_hash, load_json
 from benchsim.bench.writing import permit, write_text
 
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-image")
@@ -132,8 +132,8 @@ def _refuse_unusable(target: Path, command: str, inputs: Sequence[Path]) -> None
 
 def _command_of(folder: Path) -> str | None:
     try:
-        return json.loads((folder / STAMP).read_text(encoding="utf-8"))["command"]
-    except (OSError, ValueError, KeyError, TypeError):
+        return load_json(folder / STAMP)["command"]
+    except (BenchsimError, KeyError, TypeError):
         return None
 
 
@@ -149,7 +149,7 @@ def _stamp(command: str, inputs: Sequence[Path], options: dict[str, Any], defaul
         "command": command,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "options": options,
-        "inputs": {_short(path, inputs[0].parent): hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs},
+        "inputs": {_short(path, inputs[0].parent): file_hash(path) for path in inputs},
         "versions": versions,
         "defaults_used": list(defaults),
     }

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from jinja2 import TemplateError
+
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.paths import STAMP, inside
+from benchsim.bench.reading import load_json, read_file
 from benchsim.bench.writing import write_text
 from benchsim.jobs.progress import Progress, silent
-from benchsim.report import page, page_trial
+from benchsim.report import forms, page, page_trial
 
 NAME = "report.html"
 
@@ -80,13 +84,13 @@ def build(folder: Path, allow_outside: bool = False) -> tuple[str, str]:
         raise BenchsimError(f"{folder}: no such folder; name one that run, diagnose or trial open wrote")
 
     def held(name: str) -> Any:
-        return _read(inside(folder, name, f"{folder}: {name}", allow_outside=allow_outside))
+        return load_json(inside(folder, name, f"{folder}: {name}", allow_outside=allow_outside))
 
     stamp = held(STAMP) if (folder / STAMP).is_file() else {}
     if (folder / "score.json").is_file():
         score = held("score.json")
         _of_format(folder / "score.json", score, page_trial.FORMAT)
-        return "trial", page.trial_page(score, stamp)
+        return "trial", _drawn(folder, "score.json", lambda: page.trial_page(score, stamp))
     result = next((n for n in ("diagnosis.json", "validation.json") if (folder / n).is_file()), None)
     if result is None:
         raise BenchsimError(
@@ -100,26 +104,39 @@ def build(folder: Path, allow_outside: bool = False) -> tuple[str, str]:
         )
     found, extra = held(result), held("page.json")
     _of_format(folder / "page.json", extra, page.FORMAT)
+    forms.checked(forms.Page, folder / "page.json", extra)
     photographs = {}
     for number, x in enumerate(extra["exposures"], 1):
         if x["photograph"] is not None:
             key = f"{folder / 'page.json'}: exposures[{number}].photograph"
             path = inside(folder, x["photograph"], key, allow_outside=allow_outside)
             if path.is_file():
-                photographs[x["photograph"]] = path.read_bytes()
+                photographs[x["photograph"]] = read_file(path)
     if result == "diagnosis.json":
         pixels = held("pixels.json") if (folder / "pixels.json").is_file() else None
-        return "diagnosis", page.diagnosis_page(found, extra, photographs, stamp, pixels)
-    return "validation", page.validation_page(found, held("conics.json"), extra, photographs, stamp)
+        forms.checked(forms.Diagnosis, folder / result, found)
+        forms.checked(forms.Stamp, folder / STAMP, stamp)
+        forms.checked(forms.Pixels, folder / "pixels.json", pixels)
+        draw = partial(page.diagnosis_page, found, extra, photographs, stamp, pixels)
+        return "diagnosis", _drawn(folder, result, draw)
+    conics = held("conics.json")
+    forms.checked(forms.Validation, folder / result, found)
+    forms.checked(forms.Stamp, folder / STAMP, stamp)
+    draw = partial(page.validation_page, found, conics, extra, photographs, stamp)
+    return "validation", _drawn(folder, f"{result} or conics.json", draw)
 
 
-def _read(path: Path) -> Any:
+def _drawn(folder: Path, name: str, draw: Callable[[], str]) -> str:
+    """The page, or what of a result in no form of its own kept it from being drawn."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BenchsimError(f"{path}: cannot be read ({error.strerror}); write the folder anew") from None
-    except ValueError:
-        raise BenchsimError(f"{path}: is no JSON; write the folder anew") from None
+        html = draw()
+        html.encode()
+        return html
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, TemplateError) as error:
+        raise BenchsimError(
+            f"{folder / name}: cannot be shown ({type(error).__name__}: {str(error)[:100]}); write the folder "
+            "anew with this benchsim"
+        ) from None
 
 
 def _of_format(path: Path, value: Any, wanted: str) -> None:

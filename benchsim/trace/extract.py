@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Exposure, Recording, Screen
+from benchsim.trace.counts import read_counts
 from benchsim.trace.image import Photograph, read_image
 from benchsim.trace.line import Line, measure_line
 from benchsim.trace.marks import board_corners, find_marks
@@ -213,9 +214,9 @@ def extract_pixels(image: str | Path, dark: str | Path | None = None) -> PixelTr
         As `extract`.
     """
     path = Path(image)
-    raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION) if path.is_file() else None
-    bits = 16 if raw is not None and raw.dtype == np.uint16 else 8
-    size = (raw.shape[1], raw.shape[0]) if raw is not None else (1, 1)
+    raw, _ = read_counts(path)
+    bits = 16 if raw.dtype == np.uint16 else 8
+    size = (raw.shape[1], raw.shape[0])
     camera = Camera("", size, float(max(size)), (0.0, 0.0), bit_depth=bits, saturation_level=float(2**bits - 1))
     photograph = read_image(path, camera)
     ground = None if dark is None else read_image(Path(dark), camera, dark=True, channel=photograph.channel)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera
+from benchsim.trace.counts import read_counts
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -41,9 +42,6 @@ FLANK = 5
 """Beside what is saturated, the line's flanks [px]."""
 
 _CHANNELS = ("blue", "green", "red")
-_SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
-_HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1", b"avif")
-"""Brands of ISO/IEC 23008-12 and of AV1 pictures in the box ``ftyp`` that such a file begins with."""
 
 
 @dataclass(frozen=True)
@@ -147,62 +145,6 @@ def read_image(path: str | Path, camera: Camera, *, dark: bool = False, channel:
         marks_light=light[for_marks],
         marks_saturated=saturated[for_marks],
     )
-
-
-def read_counts(path: Path) -> tuple[NDArray, bool]:
-    """Counts as they stand in the file, rows by columns (by blue, green, red), and whether it is a JPEG.
-
-    EXIF orientation is not applied.
-
-    Raises
-    ------
-    BenchsimError
-        If the file is no PNG, TIFF or JPEG, or is damaged; of HEIC and raw pictures it says what to give instead.
-    """
-    if not path.exists():
-        raise BenchsimError(f"{path.name}: not there (looked in {path.parent}); add the image or mend its name")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise BenchsimError(f"{path.name}: cannot be read ({error.strerror}); check its permissions") from None
-    if not data:
-        raise BenchsimError(f"{path.name}: an empty file; copy the image again")
-    if data[4:8] == b"ftyp" and data[8:12] in _HEIF_BRANDS:
-        raise BenchsimError(
-            f"{path.name}: a HEIC (or AVIF) picture, which is not read; export it as JPEG in full size, and set the "
-            "phone to JPEG before the next (iPhone: Settings, Camera, Formats, Most Compatible)"
-        )
-    if path.suffix.lower() == ".dng":
-        raise BenchsimError(
-            f"{path.name}: a raw picture, which is not read; give the JPEG that the phone writes beside it, or develop "
-            "it as TIFF of 16 bit without lens correction"
-        )
-    if not data.startswith(_SIGNATURES):
-        raise BenchsimError(f"{path.name}: not an image; give a PNG, TIFF or JPEG")
-    lossy = data.startswith(b"\xff\xd8\xff")
-    # Decoders differ in whether a truncated file is an error or a grey remainder; the end marks tell.
-    whole = _ends(data) if lossy else (b"IEND" in data[-4096:]) if data[0] == 0x89 else True
-    counts = None
-    if whole:
-        logging = cv2.utils.logging
-        previous = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-        try:
-            counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-        except cv2.error:
-            counts = None
-        finally:
-            logging.setLogLevel(previous)
-    if counts is None:
-        raise BenchsimError(f"{path.name}: truncated or damaged; copy the image again")
-    return counts, lossy
-
-
-def _ends(jpeg: bytes) -> bool:
-    """Whether the picture itself has its end mark: its thumbnail has one of its own, and phones append a short film."""
-    at = 2
-    while at + 4 <= len(jpeg) and jpeg[at] == 0xFF and jpeg[at + 1] != 0xDA:
-        at += 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
-    return jpeg.find(b"\xff\xd9", at) >= 0
 
 
 def _check_format(name: str, counts: NDArray, camera: Camera) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.reading import load_json
 from benchsim.trial import ledger
 from benchsim.trial.hashing import canonical, commitment, digest, files_of
 from benchsim.trial.ledger import Standing
@@ -129,7 +130,7 @@ def truths_of(trial: Trial) -> dict[str, tuple[str, dict[str, Any]]]:
     """Case → salt and truth; check them before."""
     out = {}
     for case in trial.stands.concealed:
-        opening = json.loads((trial.folder / "truth" / f"{case}.json").read_text(encoding="utf-8"))
+        opening = load_json(trial.folder / "truth" / f"{case}.json")
         out[case] = (opening["salt"], opening["truth"])
     return out
 
@@ -137,4 +138,4 @@ def truths_of(trial: Trial) -> dict[str, tuple[str, dict[str, Any]]]:
 def diagnosis_of(trial: Trial, case: str) -> dict[str, Any] | None:
     """``diagnosis.json`` of the first run, None where there is no verdict."""
     path = trial.folder / "verdicts" / case / "diagnosis.json"
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    return load_json(path) if path.is_file() else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.reading import load_json
 from benchsim.bench.writing import write_text
 from benchsim.jobs.cluster import Each, Scheduler, beside, cluster
 from benchsim.jobs.progress import Progress, silent
@@ -123,7 +123,7 @@ def _planned(folder: Path, cases: int, seed: int | None, shrink: int, zero: bool
     """The plan that lies there if it is the one that is asked for, else a new one."""
     path = folder / "truth" / "plan.json"
     if path.exists():
-        plan = making.planned(json.loads(path.read_text(encoding="utf-8")))
+        plan = making.planned(load_json(path))
         asked = (cases, shrink, zero, plan.seed if seed is None else f"{seed:064x}")
         if (len(plan.kinds), plan.shrink, plan.zero, plan.seed) != asked:
             raise BenchsimError(f"{folder}: holds another trial; choose another folder with -o, or ask for the same")
@@ -179,7 +179,7 @@ def _seal(plan: Plan, names: list[str], recordings: Path, truth: Path, rendered:
             "withheld": list(plan.withheld),
             # The seed in it has 256 bits: it is its own salt.
             "plan": digest(canonical(plan.plain())),
-            "certificate": json.loads((truth / "certificate.json").read_text(encoding="utf-8")),
+            "certificate": load_json(truth / "certificate.json"),
             "code": code(),
             "versions": versions(),
         }
@@ -190,7 +190,7 @@ def _seal(plan: Plan, names: list[str], recordings: Path, truth: Path, rendered:
     shutil.rmtree(staging, ignore_errors=True)
     equalised.laid_out(rendered, staging)
     for name in names:
-        opening = json.loads((truth / f"{name}.json").read_text(encoding="utf-8"))
+        opening = load_json(truth / f"{name}.json")
         lines.append(
             {
                 "kind": "concealed",

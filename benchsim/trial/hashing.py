@@ -13,6 +13,7 @@ import numpy as np
 
 import benchsim
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.reading import file_hash
 
 
 def canonical(value: Any) -> bytes:
@@ -57,7 +58,7 @@ def files_of(folder: Path) -> dict[str, str]:
         if path.is_symlink() or not (path.is_file() or path.is_dir()):
             raise BenchsimError(f"{path}: is a link or no plain file; put the file itself there")
         if path.is_file():
-            out[path.relative_to(folder).as_posix()] = digest(path.read_bytes())
+            out[path.relative_to(folder).as_posix()] = file_hash(path)
     return out
 
 

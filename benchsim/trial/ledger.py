@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.reading import JSON_BYTES, read_file
 from benchsim.trial.hashing import canonical, digest
 
 Line = Mapping[str, Any]
@@ -88,10 +89,7 @@ def read(path: Path) -> list[Line]:
     BenchsimError
         If it cannot be read, or a line is not what was written; names the line.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise BenchsimError(f"{path}: cannot be read ({error.strerror}); a trial has its ledger there") from None
+    data = read_file(path, JSON_BYTES)
     lines: list[Line] = []
     before = START
     for number, raw in enumerate(data.split(b"\n")[:-1], 1):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.reading import load_json
 from benchsim.bench.writing import write_text
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
@@ -77,7 +78,7 @@ def open(folder: Path | str, *, progress: Progress = silent) -> OpenResult:
     trial = Trial(at, stands)
     complain(checked(trial, opened=True))
     if path.exists() and ledger.standing(ledger.read(path)).closed is not None:
-        whole = json.loads((at / "score.json").read_text(encoding="utf-8"))
+        whole = load_json(at / "score.json")
         return OpenResult(at, whole, ledger.standing(ledger.read(path)).head)
     progress("scoring", 0.1)
     truths = truths_of(trial)
@@ -92,7 +93,7 @@ def open(folder: Path | str, *, progress: Progress = silent) -> OpenResult:
     ledger.append(partial, lines)
     nothing = {case: not truth["zero"] and not truth["kind"].startswith("clean") for case, (_, truth) in truths.items()}
     blind = leak_test.blind([leak_test.clues(at / "recordings" / case) for case in truths], list(nothing.values()))
-    seed = json.loads((at / "truth" / "plan.json").read_text(encoding="utf-8"))["seed"]
+    seed = load_json(at / "truth" / "plan.json")["seed"]
     kept_back = {}
     for k, (case, (_, truth)) in enumerate(truths.items()):
         progress(f"predicting settings kept back from {case}", 0.1 + 0.8 * k / len(truths))

@@ -126,7 +126,7 @@ BAD = {
     "too few coordinates": ("[1500.0, -160.0, -1430.0]", "[1500.0, -160.0]", ["mirror_position_mm", "3"]),
     "a number for a list": ("[99.5, 74.5]", "99.5", ["principal_point_px", "brackets"]),
     "fractional pixels": ("[200, 150]", "[200.5, 150]", ["resolution_px", "whole"]),
-    "negative focal length": ("focal_px = 210.0", "focal_px = -210.0", ["focal_px", "above 0"]),
+    "negative focal length": ("focal_px = 210.0", "focal_px = -210.0", ["focal_px", "at least 1"]),
     "wrong bit depth": ("focal_px = 210.0", "focal_px = 210.0\nbit_depth = 12", ["bit_depth", "8"]),
     "elevation in rad or beyond": ("= 50.0", "= 500.0", ["laser_elevation_deg", "at most 90"]),
     "laser below the horizon": ("= 50.0", "= -5.0", ["laser_elevation_deg", "below the horizon"]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,19 +9,13 @@ from typing import Any
 import numpy as np
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.reading import load_json
 from benchsim.instruments.mount.records import Array
 
 
 def load(path: Path) -> Mapping[str, Any]:
     """A JSON object."""
-    try:
-        value = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise BenchsimError(f"{path}: cannot be read ({error.strerror}); put the file there") from None
-    except UnicodeDecodeError:
-        raise BenchsimError(f"{path}: is not in UTF-8; save it so") from None
-    except (ValueError, RecursionError) as error:
-        raise BenchsimError(f"{path}: is no JSON ({error}); mend the file") from None
+    value = load_json(path)
     if not isinstance(value, dict):
         raise BenchsimError(f"{path}: is no JSON object; mend the file")
     return value

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.trace.counts import read_counts
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]
@@ -83,10 +84,7 @@ def read_templates(folder: Path, family: str, names: tuple[str, ...]) -> tuple[T
 
 
 def _read_grey(path: Path) -> Image:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise BenchsimError(f"{path}: is no picture that can be read; cut the template out anew as PNG")
-    return image.astype(np.float32)
+    return read_counts(path, cv2.IMREAD_GRAYSCALE)[0].astype(np.float32)
 
 
 def reference_point(image: Image, name: str) -> tuple[NDArray[np.bool_], float, Array]:

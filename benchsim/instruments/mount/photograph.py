@@ -30,6 +30,7 @@ from benchsim.instruments.mount.target_marks import (
     inverse,
     to_plane,
 )
+from benchsim.trace.counts import read_counts
 
 Array = NDArray[np.float64]
 Image = NDArray[Any]
@@ -311,10 +312,7 @@ class _Grid:
 def _read_counts(path: Path) -> NDArray[np.uint8]:
     if not path.is_file():
         raise BenchsimError(f"{path}: there is no such photograph; give the raw picture of the target")
-    counts = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if counts is None:
-        raise BenchsimError(f"{path.name}: is no picture that can be read; give a PNG, TIFF or JPEG of 8 bits")
-    return np.asarray(counts, np.uint8)
+    return np.asarray(read_counts(path, cv2.IMREAD_COLOR)[0], np.uint8)
 
 
 def _target(photograph: Path, properties: str | Path | None) -> str:

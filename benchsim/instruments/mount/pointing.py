@@ -11,6 +11,7 @@ import numpy as np
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.names import printable
+from benchsim.bench.reading import TABLE_BYTES, read_file
 from benchsim.instruments.mount import conventions, mmt_log, tpoint
 from benchsim.instruments.mount.header import Run
 from benchsim.instruments.mount.records import Array, Mount, Records, Session, toward
@@ -32,6 +33,8 @@ APART_DEG = 1.0
 
 def recognises(path: Path) -> bool:
     """Whether a file looks like a pointing run."""
+    if not path.is_file():
+        return False
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -85,10 +88,7 @@ def read(path: Path) -> Session:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise BenchsimError(f"{path}: cannot be read ({error.strerror}); name a pointing file") from None
+    data = read_file(path, TABLE_BYTES)
     if b"\0" in data:
         line = data[: data.index(b"\0")].count(b"\n") + 1
         raise BenchsimError(f"{path}, line {line}: holds a NUL byte, so it is no text in UTF-8; save the file as such")

@@ -60,7 +60,8 @@ def recognises(path: Path) -> bool:
     if not path.is_file():
         return False
     if path.suffix == ".toml":
-        return FORMAT in path.read_text(encoding="utf-8", errors="replace")[:2000]
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return FORMAT in file.read(2000)
     return path.suffix not in (".json",) and pointing.recognises(path)
 
 
