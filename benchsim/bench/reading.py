@@ -62,10 +62,9 @@ def load_json(path: Path) -> Any:
     BenchsimError
         If it cannot be read or is no JSON.
     """
+    data = read_file(path, JSON_BYTES)
     try:
-        return json.loads(read_file(path, JSON_BYTES).decode("utf-8-sig"))
-    except BenchsimError:
-        raise
+        return json.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise BenchsimError(f"{path}: is not in UTF-8; save it so") from None
     except RecursionError:

@@ -24,10 +24,9 @@ def load_toml(file: Path) -> dict[str, Any]:
         If it cannot be read, is no TOML, or too deep, or a key or text of it has characters that steer a terminal, or
         line breaks.
     """
+    body = read_file(file, TOML_BYTES)
     try:
-        data = tomllib.loads(read_file(file, TOML_BYTES).decode("utf-8-sig"))
-    except BenchsimError:
-        raise
+        data = tomllib.loads(body.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise BenchsimError(f"{file}: not a text file in UTF-8; give a TOML file") from None
     except RecursionError:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from benchsim.diagnosis import degeneracy, evidence, linear
 from benchsim.diagnosis.explored import Begun, Search, log_z_about, strayed, whole
-from benchsim.diagnosis.fitting import RENEWALS, fitted, misses
+from benchsim.diagnosis.fitting import RENEWALS, Start, fitted, misses
 from benchsim.diagnosis.hypothesis import LARGEST, Context, Effects, Hypothesis, Solved
 from benchsim.diagnosis.screen import Catalogue
 from benchsim.diagnosis.starts import at_fit, places, starts
@@ -71,8 +71,7 @@ def search(
     lost = [(n,) for n in s.names if n in s.bending and strayed(context, null)]
     tell("fitting single effects", 0.4)
     _fit(s, [(n,) for n in s.names if (n,) not in lost] + _wholes(s))
-    many = [replace(start, race=None) for effects in lost for start in starts(s, effects)]
-    _keep(s, fitted(context, many, {e: s.prior(e) for e in lost}, renewals=RENEWALS))
+    _exactly(s, [replace(start, race=None) for effects in lost for start in starts(s, effects)])
     for turn in range(ROUNDS):
         tell(f"fitting {' + '.join(s.best().fit.effects) or 'settings'} and its like", 0.5 + 0.4 * turn / ROUNDS)
         _settle(s)
@@ -184,13 +183,14 @@ def _settle(s: Search) -> None:
     """Make the derivatives of what matters exact."""
     for _ in range(2):
         top = s.best().fit.log_evidence
-        _exactly(s, [e for e, x in s.done.items() if not x.exact and x.fit.log_evidence > top - MATTERS])
+        rough = [e for e, x in s.done.items() if not x.exact and x.fit.log_evidence > top - MATTERS]
+        _exactly(s, [at_fit(s, e, s.done[e]) for e in rough])
 
 
-def _exactly(s: Search, sets: Sequence[Effects]) -> None:
-    """Follow fits from where they ended with exact derivatives."""
-    ends = [at_fit(s, e, s.done[e]) for e in sets]
-    _keep(s, fitted(s.context, ends, {e: s.prior(e) for e in sets}, renewals=RENEWALS))
+def _exactly(s: Search, begun: Sequence[Start]) -> None:
+    """Follow fits with exact derivatives."""
+    prior = {start.hypothesis.names: s.prior(start.hypothesis.names) for start in begun}
+    _keep(s, fitted(s.context, begun, prior, renewals=RENEWALS))
 
 
 def _faint(s: Search, solved: Solved) -> Solved:
