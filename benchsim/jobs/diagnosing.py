@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 MOST_LOCATED = 4
 """Photographs in which stretches are drawn: those of the most significant."""
 
+MOST_RENDERED = 2
+"""Exposures that are rendered again, without and with what was found; each takes some 8 s of CPU, so that all of six
+took two thirds of what the diagnosis itself does."""
+
 
 @dataclass(frozen=True)
 class DiagnosisResult:
@@ -276,11 +280,11 @@ def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progres
 
 
 def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = silent) -> tuple[str, ...]:
-    """Render every exposure again without and with what was found, and draw photograph less render.
+    """Render the telling exposures again without and with what was found, and draw photograph less render.
 
-    With it the most probable settings are the diagnosis' own, without it those of the null; both as the unevenness of
-    the light across the traces has them too. A law's field is rendered like any effect. Writes ``pixels.png`` and
-    ``pixels.json``; returns a sentence for every exposure that could not be compared.
+    Those are `_telling`. With what was found the most probable settings are the diagnosis' own, without it those of the
+    null; both as the unevenness of the light across the traces has them too. A law's field is rendered like any effect.
+    Writes ``pixels.png`` and ``pixels.json``; returns a sentence for every exposure that could not be compared.
     """
     from benchsim.instruments.bench.asymmetry import settled
     from benchsim.instruments.bench.fitted_simulation import probable, state
@@ -301,21 +305,22 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
         lawful = replace(problem, predict=amended)
         values = probable(lawful, problem.nuisances, values, setting_scale=d.setting_scale)
     blocks = range(len(problem.names))
-    seen = [pixels_of(result.recording, b.observed) for b in predict.blocks]
+    shown = _telling(problem, d)
+    seen = [pixels_of(result.recording, b.observed) if i in shown else None for i, b in enumerate(predict.blocks)]
     each = settled(lawful, seen, [values for _ in blocks], d.setting_scale)
-    after = [state(amended, b, each[b]) for b in blocks]
+    after = [state(amended, b, each[b]) for b in shown]
     before = after
     if d.law is not None or values.keys() & of_effects:
         null = probable(problem, problem.nuisances, bare, setting_scale=d.setting_scale)
         each = settled(problem, seen, [null for _ in blocks], d.setting_scale)
-        before = [state(predict, b, each[b]) for b in blocks]
+        before = [state(predict, b, each[b]) for b in shown]
     backend.use(None)
     compared = comparing.compare(
         result.recording,
-        [b.observed for b in predict.blocks],
+        [predict.blocks[b].observed for b in shown],
         before,
         after,
-        pixels=seen,
+        pixels=[seen[b] for b in shown],
         progress=lambda what, done: progress(what, 0.82 + 0.17 * done),
     )
     rows = [
@@ -328,10 +333,20 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
     comparing.draw(
         compared,
         folder / "pixels.png",
-        f"{label(result.recording)}: photographs less their renders, settings fitted; all pixels together "
-        f"{pooled['before']:.2f} → {pooled['after']:.2f} sigma",
+        f"{label(result.recording)}: {len(shown)} of {len(blocks)} photographs less their renders, settings fitted; "
+        f"all pixels together {pooled['before']:.2f} → {pooled['after']:.2f} sigma",
     )
     return compared.lost
+
+
+def _telling(problem: Problem, d: Diagnosis) -> list[int]:
+    """The blocks of at most `MOST_RENDERED` exposures, each of its own setting, whose residuals changed the most."""
+    first = list({group: b for b, group in reversed(list(enumerate(problem.groups)))}.values())
+    if len(first) > MOST_RENDERED:
+        r = d.residuals
+        changed = ((r.before - r.after) / r.sigma) ** 2
+        first.sort(key=lambda b: (-float(changed[problem.rows(b)].sum()), b))
+    return sorted(first[:MOST_RENDERED])
 
 
 def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: str) -> None:

@@ -106,9 +106,14 @@ class _Pooled(Form):
     after: Number
 
 
+class _Seen(Form):
+    exposure: Text
+
+
 class Pixels(Form):
     """``pixels.json``."""
 
+    exposures: list[_Seen]
     pooled: _Pooled
 
 
