@@ -5,7 +5,8 @@
 Heliostats of the Jülich kind (first axis horizontal along east, second perpendicular, linear actuators) stand in rows
 north of a tower with two targets. Each has none, one or two of the errors in `OWN`; ``--shared`` conceals besides what
 all have in common: ``target`` (one target hangs elsewhere), ``tower`` (all do, alike), ``clock``, ``refraction``
-(the sun's elevation lacks it or has it twice), ``none``. Records lie on days that are spread over two years, some to a
+(the sun's elevation lacks it or has it twice), ``camera`` (spots lie further from their target's centre than recorded),
+``none``. Records lie on days that are spread over two years, some to a
 day; a record's spot is off by 1 mrad, and by 0.3 mrad that its day shares. ``truth.json`` holds it all.
 
 The optics are a few lines of vectors of their own, from the formulas of the data base's description: nothing of the
@@ -56,9 +57,10 @@ SHARED = {
     "tower": {"target_e_1": 0.2, "target_u_1": 0.3, "target_e_2": 0.2, "target_u_2": 0.3},
     "clock": {"dt": 40.0},
     "refraction": {"refr": 1.0},
+    "camera": {"spot_scale": 0.08},
     "none": {},
 }
-"""What all have in common [m, s, part of the refraction]."""
+"""What all have in common [m, s, parts of the refraction and of the scale]."""
 
 ERROR, OF_THE_DAY = 1e-3, 0.3e-3
 """Errors of a spot, and what the records of a day share of them [rad of the beam]."""
@@ -219,6 +221,7 @@ def make(out: Path, heliostats: int, records: int, seed: int, shared: list[str])
     own_day = np.array([[of_day[h, int(d)] for d in np.take(day[h], order[h])] for h in range(heliostats)])
     off = rng.normal(0, ERROR, (heliostats, records, 2)) + own_day
     seen[..., [0, 2]] += off * distance
+    seen = centres[number] + (seen - centres[number]) / (1.0 + common.get("spot_scale", 0.0))
     plant = {"power_plant_properties": {"ID": "made", "coordinates": list(ORIGIN)}}
     for target, centre in TARGETS.items():
         plant[target] = {

