@@ -1,0 +1,566 @@
+"""Forged trials: everything that somebody in one of the seats could do to a finished folder is refused in a sentence.
+
+A forger here has the folder, the code and all secrets but the others' keys: he chains the ledger anew and makes score
+and page again where that helps him. What is consistent in itself only an anchor tells from the first: there `verify`
+has to say that nobody vouches for it, and to refuse it when it is told a root hash or a signer.
+"""
+
+import json
+import shutil
+from pathlib import Path
+
+import fakes
+import pytest
+
+from benchsim import trial
+from benchsim.bench.errors import BenchsimError
+from benchsim.jobs.reporting import report
+from benchsim.trial import anchors, deriving, equalised, ledger
+from benchsim.trial.checking import Trial
+from benchsim.trial.hashing import canonical, commitment, digest, files_of
+
+PARTS = ("recordings/ledger.jsonl", "verdicts/ledger.jsonl", "ledger.jsonl")
+FIRST_OF_NEXT = ("judged", "opened", None)
+
+
+def written(path, lines):
+    path.write_bytes(b"".join(canonical(line) + b"\n" for line in lines))
+
+
+def said(line):
+    return {k: v for k, v in line.items() if k not in ("before", "hash")}
+
+
+def chained(lines, signers=None):
+    """Lines with new hashes; signatures stay as they are (None), or are made anew by those who are named."""
+    before, out = ledger.START, []
+    for line in map(said, lines):
+        if line["kind"] == "signed" and signers is not None:
+            if line["by"] not in signers:
+                continue
+            line = anchors.signature(anchors.read_key(signers[line["by"]].path), line["by"], before)
+        out.append(ledger.chained(before, line))
+        before = out[-1]["hash"]
+    return out
+
+
+def of(lines, kind, case=None):
+    return next(line for line in lines if line["kind"] == kind and line.get("case") == case)
+
+
+def edited(path, change):
+    """A JSON file, changed and written as it was laid out."""
+    value = json.loads(path.read_text())
+    change(value)
+    canonically = path.parent.name == "truth"
+    path.write_text(canonical(value).decode() + "\n" if canonically else deriving.written(value))
+
+
+def closed_anew(t):
+    """The opener's last line over score and page as they lie there."""
+    lines = ledger.read(t / ledger.NAME)
+    new = {"kind": "closed", "results": digest((t / "score.json").read_bytes())}
+    new["page"] = digest((t / "report.html").read_bytes())
+    written(t / ledger.NAME, [*lines[:-1], ledger.chained(lines[-2]["hash"], new)])
+
+
+def rescored(t, change):
+    """Another score, the page of it, and the ledger closed over both."""
+    edited(t / "score.json", change)
+    report(t)
+    closed_anew(t)
+
+
+def redone(t, change, signers=None):
+    """Recordings' and verdicts' lines changed, all chained anew, and opened again as the opening does it."""
+    lines = [dict(line) for line in ledger.read(t / "verdicts" / ledger.NAME)]
+    change(lines)
+    lines = chained(lines, signers)
+    end = next((k for k, line in enumerate(lines) if line["kind"] == "judged"), len(lines))
+    written(t / "recordings" / ledger.NAME, lines[:end])
+    written(t / "verdicts" / ledger.NAME, lines)
+    opened_anew(t, lines)
+
+
+def opened_anew(t, lines, change=lambda lines: None):
+    one = Trial(t, ledger.standing(lines))
+    new = deriving.opened_lines(one)
+    change(new)
+    lines = [*lines, *ledger.follow(lines[-1]["hash"], new)]
+    text = deriving.written(deriving.assembled(one, deriving.predictions(one), lines))
+    (t / "score.json").write_text(text)
+    page = digest(report(t).path.read_bytes())
+    closed = {"kind": "closed", "results": digest(text.encode()), "page": page}
+    written(t / ledger.NAME, [*lines, *ledger.follow(lines[-1]["hash"], [closed])])
+
+
+def committed_anew(t, case, lines, change):
+    """A truth changed, and its commitment with it."""
+    path = t / "truth" / f"{case}.json"
+    edited(path, change)
+    opening = json.loads(path.read_text())
+    of(lines, "concealed", case)["commitment"] = commitment(opening["salt"], opening["truth"])
+
+
+# The opener.
+
+
+def leak_test(t):
+    rescored(t, lambda score: score["leak"].update(auc=0.5, p_value=1.0, at_chance=True, clue="none differs"))
+
+
+def headline(t):
+    rescored(t, lambda score: score.update(headline="All causes were found rightly."))
+
+
+def a_miss_made_right(t):
+    rescored(
+        t, lambda score: score["cases"][0].update(cause="right" if score["cases"][0]["cause"] != "right" else "class")
+    )
+
+
+def a_bar_met(t):
+    rescored(t, lambda score: next(b for b in score["bars"] if b["state"] != "met").update(state="met"))
+
+
+def a_count_of_the_confusion(t):
+    rescored(t, lambda score: score["confusion"]["counts"][0].__setitem__(0, 19))
+
+
+def the_reliability_nudged(t):
+    rescored(t, lambda score: score["reliability"][0].update(stated=score["reliability"][0]["stated"] * (1 + 1e-6)))
+
+
+def withheld_in_the_score(t):
+    rescored(t, lambda score: score["withheld"].pop())
+
+
+def the_certificate_in_the_score(t):
+    rescored(t, lambda score: score["certificate"].update(rays=[10, 20]))
+
+
+def a_hash_in_the_score(t):
+    rescored(t, lambda score: score["ledger"][3].update(hash=64 * "0"))
+
+
+def one_more_key(t):
+    rescored(t, lambda score: score.update(remark="found by all"))
+
+
+def one_key_less(t):
+    rescored(t, lambda score: score.pop("leak"))
+
+
+def predictions(t):
+    def change(score):
+        score["kept_back"]["001"] = {"data": 50, "excess_chi2_before": 1e5, "excess_chi2_after": 1.0}
+
+    rescored(t, change)
+
+
+def predictions_and_all_that_follows(t):
+    """Consistent: the score is assembled from the forged predictions."""
+    lines = ledger.read(t / ledger.NAME)[:-1]
+    one = Trial(t, ledger.standing(ledger.read(t / "verdicts" / ledger.NAME)))
+    kept_back = {c: {"data": 50, "excess_chi2_before": 1e5, "excess_chi2_after": 1.0} for c in one.stands.concealed}
+    (t / "score.json").write_text(deriving.written(deriving.assembled(one, kept_back, lines)))
+    report(t)
+    closed_anew(t)
+
+
+def the_score_laid_out_otherwise(t):
+    path = t / "score.json"
+    path.write_text(json.dumps(json.loads(path.read_text()), indent=2))
+    closed_anew(t)
+
+
+def the_score_not_closed_over(t):
+    edited(t / "score.json", lambda score: score.update(headline="All were found."))
+
+
+def the_page(t):
+    path = t / "report.html"
+    path.write_text(path.read_text().replace("missed", "right"))
+
+
+def the_page_closed_over(t):
+    the_page(t)
+    closed_anew(t)
+
+
+def the_page_of_another_score(t):
+    path, text = t / "score.json", (t / "score.json").read_text()
+    edited(path, lambda score: score.update(headline="All were found."))
+    report(t)
+    path.write_text(text)
+    closed_anew(t)
+
+
+def words_of_the_opening(t):
+    lines = ledger.read(t / "verdicts" / ledger.NAME)
+    opened_anew(t, lines, lambda new: new[0].update(says="canting → canting"))
+
+
+def a_salt_of_the_opening(t):
+    lines = ledger.read(t / "verdicts" / ledger.NAME)
+    opened_anew(t, lines, lambda new: new[0].update(salt=new[1]["salt"]))
+
+
+def removed(*names):
+    def attack(t):
+        for name in names:
+            path = t / name
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    attack.__name__ = "removed_" + "_".join(Path(name).name for name in names)
+    return attack
+
+
+def the_last_line_removed(t):
+    written(t / ledger.NAME, ledger.read(t / ledger.NAME)[:-1])
+
+
+def the_ledger_cut(t):
+    path = t / ledger.NAME
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+def the_ledger_back_at_the_verdicts(t):
+    shutil.copyfile(t / "verdicts" / ledger.NAME, t / ledger.NAME)
+
+
+def an_empty_ledger(t):
+    (t / ledger.NAME).write_bytes(b"")
+
+
+def added(name):
+    def attack(t):
+        (t / name).write_text("{}")
+
+    attack.__name__ = f"added_{name}"
+    return attack
+
+
+# The judge.
+
+
+def a_verdict(t):
+    shutil.copyfile(t / "verdicts/001/diagnosis.json", t / "verdicts/002/diagnosis.json")
+
+
+def verdicts_exchanged(t):
+    one, two, aside = (t / "verdicts" / name for name in ("001", "002", "003x"))
+    one.rename(aside), two.rename(one), aside.rename(two)
+
+
+def better_verdict(t, lines):
+    """The first that was not right is told what is concealed."""
+    case = next(c["case"] for c in json.loads((t / "score.json").read_text())["cases"] if c["concealed"] != "nothing")
+    truth = json.loads((t / "truth" / f"{case}.json").read_text())["truth"]
+    (t / "verdicts" / case / "diagnosis.json").write_text(
+        json.dumps(fakes.diagnosis(next(iter(truth["effects"]), None), value=1))
+    )
+    of(lines, "judged", case)["files"] = files_of(t / "verdicts" / case)
+
+
+def a_verdict_under_the_old_signature(t):
+    redone(t, lambda lines: better_verdict(t, lines))
+
+
+def a_verdict_in_his_own_ledger_alone(t):
+    lines = [dict(line) for line in ledger.read(t / "verdicts" / ledger.NAME)]
+    better_verdict(t, lines)
+    written(t / "verdicts" / ledger.NAME, chained(lines, {}))
+
+
+def judged_again_after_the_opening(t):
+    trial.judge(t / "recordings", t / "verdicts", workers=0, diagnose=fakes.diagnose, again=["001"])
+
+
+def judged_again_and_opened_anew(t):
+    judged_again_after_the_opening(t)
+    opened_anew(t, ledger.read(t / "verdicts" / ledger.NAME))
+
+
+def a_case_left_out(t):
+    lines = [line for line in ledger.read(t / ledger.NAME) if line.get("case") != "004"]
+    written(t / ledger.NAME, chained(lines, {}))
+
+
+def no_verdict_in_its_place(t):
+    (t / "verdicts/003/failed.json").write_text('{"error":"x","where":[]}\n')
+
+
+def the_concealer_s_signature_as_the_judge_s(t):
+    def change(lines):
+        first = of(lines, "signed")
+        lines[-1].update(key=first["key"], signature=first["signature"])
+
+    redone(t, change)
+
+
+# The concealer.
+
+
+def a_truth(t):
+    edited(t / "truth/001.json", lambda opening: opening["truth"].update(setting_scale=2.0))
+
+
+def a_truth_under_the_old_signature(t):
+    redone(t, lambda lines: committed_anew(t, "001", lines, lambda opening: opening["truth"].update(setting_scale=2.0)))
+
+
+def a_salt_that_is_not_of_the_seed(t):
+    redone(t, lambda lines: committed_anew(t, "001", lines, lambda opening: opening.update(salt=64 * "a")), {})
+
+
+def a_case_of_another_kind(t):
+    plan = json.loads((t / "truth/plan.json").read_text())
+    case = ledger.case_of(plan["kinds"].index("single") + 1)
+    redone(t, lambda lines: committed_anew(t, case, lines, lambda o: o["truth"].update(kind="clean", effects={})), {})
+
+
+def a_truth_that_cannot_be_read(t):
+    lines = [dict(line) for line in ledger.read(t / ledger.NAME)]
+    committed_anew(t, "001", lines, lambda opening: opening["truth"].update(snr="large"))
+    lines = chained(lines, {})
+    for part, end in zip(PARTS, FIRST_OF_NEXT, strict=True):
+        stop = next((k for k, line in enumerate(lines) if line["kind"] == end), len(lines))
+        written(t / part, lines[:stop])
+
+
+def plan(change):
+    def attack(t):
+        def changed(lines):
+            edited(t / "truth/plan.json", change)
+            lines[0]["plan"] = digest((t / "truth/plan.json").read_bytes()[:-1])
+
+        redone(t, changed, {})
+
+    return attack
+
+
+def fewer_withheld_by_plan(t):
+    plan(lambda values: values["withheld"].pop())(t)
+
+
+def another_seed_in_the_plan(t):
+    plan(lambda values: values.update(seed=64 * "b"))(t)
+
+
+def the_plan_alone(t):
+    edited(t / "truth/plan.json", lambda values: values.update(shrink=1))
+
+
+def a_generator_that_was_not_certified(t):
+    def change(lines):
+        edited(t / "truth/certificate.json", lambda found: found.update(passed=False))
+        lines[0]["certificate"] = json.loads((t / "truth/certificate.json").read_text())
+
+    redone(t, change, {})
+
+
+def sizes_for_the_leak_test(t):
+    def change(lines):
+        for line in lines:
+            if line["kind"] == "concealed":
+                line["clues"] = {**line["clues"], "size": 1}
+
+    redone(t, change, {})
+
+
+def metadata_in_a_picture(t):
+    """A PNG with a chunk that tells, committed to, but not in what the leak test is given."""
+    path = t / "recordings/001/001.png"
+    path.write_bytes(path.read_bytes() + b"\0\0\0\4tEXtdent\0\0\0\0")
+    redone(t, lambda lines: of(lines, "concealed", "001").update(files=files_of(path.parent)), {})
+
+
+# The host.
+
+
+def a_picture(t):
+    shutil.copyfile(t / "recordings/001/001.png", t / "recordings/002/001.png")
+
+
+def recordings_by_a_link(t):
+    (t / "recordings").rename(t.with_name("elsewhere"))
+    (t / "recordings").symlink_to(t.with_name("elsewhere"))
+
+
+def a_picture_by_a_link(t):
+    path = t / "recordings/001/001.png"
+    path.rename(t.with_name("001.png"))
+    path.symlink_to(t.with_name("001.png"))
+
+
+def the_recordings_ledger_of_a_later_part(t):
+    shutil.copyfile(t / "verdicts/ledger.jsonl", t / "recordings/ledger.jsonl")
+
+
+ATTACKS = [
+    (leak_test, "score.json: does not follow from truths and verdicts (leak)"),
+    (headline, "does not follow from truths and verdicts (headline)"),
+    (a_miss_made_right, "does not follow from truths and verdicts (cases)"),
+    (a_bar_met, "does not follow from truths and verdicts (bars)"),
+    (a_count_of_the_confusion, "does not follow from truths and verdicts (confusion)"),
+    (the_reliability_nudged, "does not follow from truths and verdicts (reliability)"),
+    (withheld_in_the_score, "does not follow from truths and verdicts (withheld)"),
+    (the_certificate_in_the_score, "does not follow from truths and verdicts (certificate)"),
+    (a_hash_in_the_score, "does not follow from truths and verdicts (ledger)"),
+    (one_more_key, "does not follow from truths and verdicts (remark)"),
+    (one_key_less, "does not follow from truths and verdicts (leak)"),
+    (predictions, "kept_back 001: does not follow"),
+    (predictions_and_all_that_follows, "kept_back 001: does not follow"),
+    (the_score_laid_out_otherwise, "score.json: is not laid out as it is written"),
+    (the_score_not_closed_over, "score.json: was changed"),
+    (the_page, "report.html: is not the one that the ledger closes with"),
+    (the_page_closed_over, "report.html: is not the page of this score"),
+    (the_page_of_another_score, "report.html: is not the page of this score"),
+    (words_of_the_opening, "ledger.jsonl: its lines 'opened' do not follow"),
+    (a_salt_of_the_opening, "truth/001.json: truth or salt is not what was committed to"),
+    (removed("score.json"), "score.json: is not there"),
+    (removed("report.html"), "report.html: is not there"),
+    (removed("ledger.jsonl"), "is not opened, or its opening was taken away"),
+    (removed("ledger.jsonl", "score.json"), "is not opened, or its opening was taken away"),
+    (removed("ledger.jsonl", "score.json", "report.html"), "is not opened, or its opening was taken away"),
+    (removed("ledger.jsonl", "score.json", "report.html", "truth", "verdicts"), "is not opened"),
+    (removed("truth"), "truth: is not there"),
+    (removed("truth/007.json"), "007.json"),
+    (removed("verdicts"), "verdicts/ledger.jsonl: is not there"),
+    (removed("verdicts/ledger.jsonl"), "verdicts/ledger.jsonl: is not there"),
+    (removed("verdicts/005"), "verdicts/005: is not there"),
+    (removed("recordings"), "holds no recordings/ledger.jsonl"),
+    (removed("recordings/ledger.jsonl"), "holds no recordings/ledger.jsonl"),
+    (removed("recordings/005/001.png"), "recordings/005/001.png: is not there"),
+    (the_last_line_removed, "ledger.jsonl: ends before the trial was closed"),
+    (the_ledger_cut, "is cut off"),
+    (the_ledger_back_at_the_verdicts, "ledger.jsonl: ends before the trial was closed"),
+    (an_empty_ledger, "line 1: is cut off"),
+    (added("benchsim.json"), "benchsim.json: the ledger knows nothing of it"),
+    (added("truth/151.json"), "truth/151.json: the ledger knows nothing of it"),
+    (added("recordings/001/notes.txt"), "recordings/001/notes.txt: was not there"),
+    (a_verdict, "verdicts/002/diagnosis.json: was changed"),
+    (verdicts_exchanged, "verdicts/001/diagnosis.json: was changed"),
+    (a_verdict_under_the_old_signature, "the signature of the judge is not that of the key it names"),
+    (a_verdict_in_his_own_ledger_alone, "opening: the ledger does not begin with that of verdicts"),
+    (judged_again_after_the_opening, "opening: the ledger does not begin with that of verdicts"),
+    (judged_again_and_opened_anew, "case 001: was judged 2 times"),
+    (a_case_left_out, "cannot stand here"),
+    (no_verdict_in_its_place, "verdicts/003/failed.json: was not there"),
+    (the_concealer_s_signature_as_the_judge_s, "the signature of the judge is not that of the key it names"),
+    (a_truth, "truth/001.json: truth or salt is not what was committed to"),
+    (a_truth_under_the_old_signature, "the signature of the concealer is not that of the key it names"),
+    (a_salt_that_is_not_of_the_seed, "truth/001.json: its salt does not follow from the plan's seed"),
+    (a_case_of_another_kind, "is of another kind than the plan's"),
+    (a_truth_that_cannot_be_read, "truths, verdicts or score are not what they should be"),
+    (fewer_withheld_by_plan, "truth/plan.json: is the plan of another trial"),
+    (another_seed_in_the_plan, "its salt does not follow from the plan's seed"),
+    (the_plan_alone, "truth/plan.json: is not what was committed to"),
+    (a_generator_that_was_not_certified, "the generator was not certified"),
+    (sizes_for_the_leak_test, "recordings/001: its names, sizes or metadata are not those"),
+    (metadata_in_a_picture, "recordings/001: its names, sizes or metadata are not those"),
+    (a_picture, "recordings/002/001.png: was changed"),
+    (recordings_by_a_link, "recordings: is a link"),
+    (a_picture_by_a_link, "is a link or no plain file"),
+    (the_recordings_ledger_of_a_later_part, "recordings/ledger.jsonl: does not end where"),
+]
+
+
+@pytest.mark.parametrize(("attack", "says"), ATTACKS, ids=lambda x: getattr(x, "__name__", ""))
+def test_a_forged_trial_is_refused(spoilt, attack, says):
+    attack(spoilt)
+    with pytest.raises(BenchsimError) as refused:
+        trial.verify(spoilt)
+    assert says in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_what_a_forger_does_without_forging_verifies(spoilt):
+    """His tools make the trial that was there: what they forge is refused for that alone."""
+    before = {p: p.read_bytes() for p in spoilt.rglob("*") if p.is_file()}
+    rescored(spoilt, lambda score: None)
+    redone(spoilt, lambda lines: None)
+    edited(spoilt / "truth/001.json", lambda opening: None)
+    assert all(p.read_bytes() == body for p, body in before.items())
+    redone(spoilt, lambda lines: None, {})
+    assert trial.verify(spoilt).signed == {}
+
+
+# Consistent in itself: for the anchors alone.
+
+
+def all_made_anew(t, keys):
+    shutil.rmtree(t)
+    mine = keys["stranger"].path
+    options = {"make": fakes.make, "certificate": fakes.certificate, "key": mine}
+    trial.conceal(t, 6, seed=99, workers=0, **options)
+    trial.judge(t / "recordings", t / "verdicts", workers=0, diagnose=fakes.diagnose, key=mine)
+    trial.open(t)
+
+
+def signatures_taken_away(t, keys):
+    redone(t, lambda lines: None, {})
+
+
+def all_signed_by_another(t, keys):
+    redone(t, lambda lines: None, {"concealer": keys["stranger"], "judge": keys["stranger"]})
+
+
+def another_truth(t, keys):
+    change = {"setting_scale": 2.0}
+    redone(t, lambda lines: committed_anew(t, "001", lines, lambda opening: opening["truth"].update(change)), {})
+
+
+def another_verdict(t, keys):
+    redone(t, lambda lines: better_verdict(t, lines), {"concealer": keys["concealer"]})
+
+
+def another_verdict_signed_by_another(t, keys):
+    redone(t, lambda lines: better_verdict(t, lines), {"concealer": keys["concealer"], "judge": keys["stranger"]})
+
+
+def another_verdict_signed_by_the_concealer(t, keys):
+    redone(t, lambda lines: better_verdict(t, lines), {"concealer": keys["concealer"], "judge": keys["concealer"]})
+
+
+REDONE = [
+    all_made_anew,
+    signatures_taken_away,
+    all_signed_by_another,
+    another_truth,
+    another_verdict,
+    another_verdict_signed_by_another,
+    another_verdict_signed_by_the_concealer,
+]
+
+
+@pytest.mark.parametrize("attack", REDONE, ids=lambda x: x.__name__)
+def test_a_trial_made_anew_is_refused_by_its_anchors(spoilt, keys, attack):
+    head = trial.verify(spoilt).head
+    attack(spoilt, keys)
+    assert "Nobody vouches for it" in trial.verify(spoilt).summary()
+    with pytest.raises(BenchsimError, match=r"--root .*: no part of this trial ends with it"):
+        trial.verify(spoilt, roots=[head])
+    with pytest.raises(BenchsimError, match=r"--judge: the judge('s part is signed by another key| did not sign)"):
+        trial.verify(spoilt, judge=keys["judge"].public)
+
+
+def test_an_opening_taken_away_is_missed_by_its_root(spoilt, opened):
+    head = trial.verify(spoilt).head
+    removed("ledger.jsonl", "score.json", "report.html")(spoilt)
+    assert trial.verify(spoilt, unopened=True).stage == "judged, NOT opened"
+    with pytest.raises(BenchsimError, match="no part of this trial ends with it"):
+        trial.verify(spoilt, unopened=True, roots=[head])
+
+
+def test_what_an_unfinished_trial_may_not_hold(spoilt):
+    removed("ledger.jsonl", "score.json")(spoilt)
+    with pytest.raises(BenchsimError, match=r"report.html: the ledger knows nothing of it"):
+        trial.verify(spoilt, unopened=True)
+
+
+def test_a_moved_trial_verifies(opened, tmp_path):
+    """Times and places on the disk are another copy's; the leak test is of what was written down."""
+    shutil.copytree(opened, tmp_path / "t", copy_function=shutil.copyfile)
+    assert trial.verify(tmp_path / "t").head == trial.verify(opened).head
+    assert (tmp_path / "t/recordings/001/001.png").stat().st_mtime != equalised.EPOCH
