@@ -1,6 +1,6 @@
 """The published trial: run it with a fresh seed, keep what a referee needs, make its recordings again.
 
-python analysis/trial/published.py run out/trial --cases 150
+python analysis/trial/published.py run out/trial --cases 150 --key ~/trial-key
 python analysis/trial/published.py keep out/trial      # and its table into README.md
 python analysis/trial/published.py again out/again
 """
@@ -38,13 +38,11 @@ OUTCOMES = {
 
 
 def keep(folder: Path) -> None:
-    """Pack ledger, truths, verdicts, score and page, of the recordings their ledger; put the tables in the README."""
+    """Pack the trial without the pictures of its recordings; put the tables in the README."""
     trial.verify(folder)
-    parts = (ledger.NAME, f"recordings/{ledger.NAME}", "truth", "verdicts", "score.json", "report.html")
     packed = KEPT.with_suffix(".part")
     with tarfile.open(packed, "w:xz", preset=9) as tar:
-        for part in parts:
-            tar.add(folder / part, f"kept/{part}", filter=_readable)
+        tar.add(folder, "kept", filter=_readable)
     packed.replace(KEPT)
     readme = KEPT.with_name("README.md")
     before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
@@ -54,7 +52,9 @@ def keep(folder: Path) -> None:
         print(trial.verify(kept, recordings=False).summary())
 
 
-def _readable(part: tarfile.TarInfo) -> tarfile.TarInfo:
+def _readable(part: tarfile.TarInfo) -> tarfile.TarInfo | None:
+    if part.name.endswith(".png"):
+        return None
     # Truths are sealed until a trial is opened.
     part.mode = 0o755 if part.isdir() else 0o644
     return part
@@ -131,9 +131,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--cases", type=int, default=150)
     parser.add_argument("--workers", type=int, default=None)
+    parser.add_argument("--key", type=Path, default=None, help="signs recordings and verdicts")
     args = parser.parse_args()
     if args.what == "run":
-        print(trial.run(args.folder, args.cases, workers=args.workers).summary())
+        print(trial.run(args.folder, args.cases, workers=args.workers, key=args.key).summary())
     elif args.what == "keep":
         keep(args.folder)
     else:

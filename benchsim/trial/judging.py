@@ -91,6 +91,8 @@ def judge(
     given, folder = Path(recordings).absolute(), Path(output).absolute()
     do = diagnose or diagnose_recording
     private = None if key is None else anchors.read_key(key, [given, folder])
+    if key is not None and key.absolute().parent == given.parent == folder.parent:
+        raise BenchsimError(f"--key {key}: lies in {given.parent}, which is handed on; keep keys elsewhere")
     published = ledger.read(given / ledger.NAME)
     stands = ledger.standing(published, str(given / ledger.NAME))
     if not stands.sealed:

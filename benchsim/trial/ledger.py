@@ -57,7 +57,7 @@ class _Concealed(_Form):
     case: str
     commitment: Hash
     files: Files
-    clues: dict[str, int] | None = None
+    clues: dict[str, int] = {}
 
 
 class _Sealed(_Form):
@@ -89,7 +89,7 @@ class _Opened(_Form):
 
 class _Closed(_Form):
     results: Hash
-    page: Hash | None = None
+    page: Hash = START
 
 
 KINDS: Mapping[str, type[_Form]] = {

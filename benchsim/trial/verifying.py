@@ -34,7 +34,7 @@ class VerifyResult:
         Hash of the ledger's last line.
     signed : mapping of "concealer" or "judge" → public key
     vouched : tuple of str
-        What ties it to the world, a sentence each; empty if the folder stands for itself alone.
+        What ties it to the world; empty if the folder stands for itself alone.
     unchecked : tuple of str
         What was not, or could not be, made again.
     """
@@ -67,7 +67,7 @@ class VerifyResult:
         if len(set(self.signed.values())) == 1 and len(self.signed) == len(BOTH):
             lines.append("Both signed with the same key.")
         lines += [f"NOT checked: {what}" for what in self.unchecked]
-        return "\n".join([*lines, *(self.vouched or [NOBODY])])
+        return "\n".join([*lines, f"vouched for by: {'; '.join(self.vouched)}" if self.vouched else NOBODY])
 
 
 BOTH = ("concealer", "judge")
@@ -136,15 +136,13 @@ def verify(
     opened = stands.closed is not None
     problems += checked(trial, opened=opened or (at / "truth").exists(), recordings=recordings)
     complain(problems)
-    vouched = [
-        f"The {part} end with a root that was published." for part, head in ends.items() if head in _plain(roots)
-    ]
-    vouched += [f"The {by} is the one expected." for by, key in zip(BOTH, (concealer, judge), strict=True) if key]
+    vouched = [f"published root of the {part}" for part, head in ends.items() if head in _plain(roots)]
+    vouched += [f"{by} as expected" for by, key in zip(BOTH, (concealer, judge), strict=True) if key]
     if timestamp is not None:
         part, when = anchors.stamped(*timestamp, ends)
-        vouched.append(f"The {part} were time-stamped: {when}.")
+        vouched.append(f"time stamp of the {part}, {when}")
     if commit is not None:
-        vouched.append(f"The {anchors.committed(*commit, ends)} stand in commit {commit[1]}.")
+        vouched.append(f"commit {commit[1]} with the root of the {anchors.committed(*commit, ends)}")
     unchecked = [] if recordings else ["the recordings' images"]
     if opened:
         with deriving.readable(at):

@@ -10,6 +10,7 @@ import shutil
 from pathlib import Path
 
 import fakes
+import numpy as np
 import pytest
 
 from benchsim import trial
@@ -564,3 +565,59 @@ def test_a_moved_trial_verifies(opened, tmp_path):
     shutil.copytree(opened, tmp_path / "t", copy_function=shutil.copyfile)
     assert trial.verify(tmp_path / "t").head == trial.verify(opened).head
     assert (tmp_path / "t/recordings/001/001.png").stat().st_mtime != equalised.EPOCH
+
+
+# What is committed to in no form that is known: by a concealer, a judge or an opener who want a traceback.
+
+WRONG = (None, True, -1, 10**30, 1e300, "", "x" * 500, "\x1b[2J\n", "\ud800", [], [[]], {}, {"a": {"a": 0}})
+
+
+def places(value, at=()):
+    """Paths to everything in plain values."""
+    for key in value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ():
+        yield (*at, key)
+        yield from places(value[key], (*at, key))
+
+
+def put(value, at, new):
+    for key in at[:-1]:
+        value = value[key]
+    value[at[-1]] = new
+
+
+def committed_to(t, name):
+    """The ledgers, over a file as it lies there."""
+    lines = [dict(line) for line in ledger.read(t / ledger.NAME)]
+    value = json.loads((t / name).read_text())
+    if name == "truth/plan.json":
+        lines[0]["plan"] = digest((t / name).read_bytes()[:-1])
+    elif name.startswith("truth"):
+        of(lines, "concealed", "003")["commitment"] = commitment(value["salt"], value["truth"])
+    elif name.startswith("verdicts"):
+        of(lines, "judged", "003")["files"] = files_of(t / "verdicts/003")
+    lines[-1]["results"] = digest((t / "score.json").read_bytes())
+    lines = chained(lines, {})
+    for part, end in zip(PARTS, FIRST_OF_NEXT, strict=True):
+        written(t / part, lines[: next((k for k, line in enumerate(lines) if line["kind"] == end), len(lines))])
+
+
+@pytest.mark.parametrize("name", ["truth/003.json", "verdicts/003/diagnosis.json", "score.json", "truth/plan.json"])
+def test_what_is_committed_to_in_another_form_ends_in_a_sentence(spoilt, name):
+    path = spoilt / name
+    whole, rng = path.read_text(), np.random.default_rng(5)
+    every = [at for at in places(json.loads(whole)) if at[0] != "salt"]
+    refused = 0
+    for at in (every[int(i)] for i in rng.choice(len(every), min(len(every), 12), replace=False)):
+        path.write_text(whole)
+        edited(path, lambda value, at=at: put(value, at, WRONG[int(rng.integers(len(WRONG)))]))
+        committed_to(spoilt, name)
+        ledgers = (spoilt / ledger.NAME).read_bytes()
+        for job in (trial.verify, trial.open):
+            try:
+                job(spoilt)
+            except BenchsimError as error:
+                assert "\n" not in str(error) and len(str(error)) < 1000
+                refused += 1
+            (spoilt / ledger.NAME).unlink(missing_ok=True)
+        (spoilt / ledger.NAME).write_bytes(ledgers)
+    assert refused >= 5
