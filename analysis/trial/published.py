@@ -114,14 +114,15 @@ def _table(head: list[str], rows: list[list[Any]]) -> str:
 
 
 def again(folder: Path) -> None:
-    """Conceal the same trial from its opened seed, and say which recordings are the same to the byte."""
+    """Conceal the same trial from its opened seed, and say how many recordings and truths are the same to the byte."""
     with unpacked() as kept:
         plan = json.loads((kept / "truth" / "plan.json").read_text(encoding="utf-8"))
         was = ledger.standing(ledger.read(kept / "recordings" / ledger.NAME)).concealed
     trial.conceal(folder, len(plan["kinds"]), seed=int(plan["seed"], 16), shrink=plan["shrink"], zero=plan["zero"])
     now = ledger.standing(ledger.read(folder / "recordings" / ledger.NAME)).concealed
-    same = [case for case in was if was[case]["files"] == now[case]["files"]]
-    print(f"{len(same)} of {len(was)} recordings are the same to the byte")
+    for what, key in (("recordings", "files"), ("truths", "commitment")):
+        same = [case for case in was if was[case][key] == now[case][key]]
+        print(f"{len(same)} of {len(was)} {what} are the same to the byte")
 
 
 def main() -> None:

@@ -1,107 +1,32 @@
-"""Forged trials: everything that somebody in one of the seats could do to a finished folder is refused in a sentence.
-
-A forger here has the folder, the code and all secrets but the others' keys: he chains the ledger anew and makes score
-and page again where that helps him. What is consistent in itself only an anchor tells from the first: there `verify`
-has to say that nobody vouches for it, and to refuse it when it is told a root hash or a signer.
-"""
+"""Forged trials: whatever somebody in one of the seats does to a finished folder is refused in a sentence."""
 
 import json
 import shutil
-from pathlib import Path
 
 import fakes
-import numpy as np
 import pytest
+from forging import (
+    FIRST_OF_NEXT,
+    PARTS,
+    better_verdict,
+    chained,
+    closed_anew,
+    committed_anew,
+    edited,
+    of,
+    opened_anew,
+    redone,
+    removed,
+    rescored,
+    written,
+)
 
 from benchsim import trial
 from benchsim.bench.errors import BenchsimError
 from benchsim.jobs.reporting import report
-from benchsim.trial import anchors, deriving, equalised, ledger
+from benchsim.trial import deriving, ledger
 from benchsim.trial.checking import Trial
-from benchsim.trial.hashing import canonical, commitment, digest, files_of
-
-PARTS = ("recordings/ledger.jsonl", "verdicts/ledger.jsonl", "ledger.jsonl")
-FIRST_OF_NEXT = ("judged", "opened", None)
-
-
-def written(path, lines):
-    path.write_bytes(b"".join(canonical(line) + b"\n" for line in lines))
-
-
-def said(line):
-    return {k: v for k, v in line.items() if k not in ("before", "hash")}
-
-
-def chained(lines, signers=None):
-    """Lines with new hashes; signatures stay as they are (None), or are made anew by those who are named."""
-    before, out = ledger.START, []
-    for line in map(said, lines):
-        if line["kind"] == "signed" and signers is not None:
-            if line["by"] not in signers:
-                continue
-            line = anchors.signature(anchors.read_key(signers[line["by"]].path), line["by"], before)
-        out.append(ledger.chained(before, line))
-        before = out[-1]["hash"]
-    return out
-
-
-def of(lines, kind, case=None):
-    return next(line for line in lines if line["kind"] == kind and line.get("case") == case)
-
-
-def edited(path, change):
-    """A JSON file, changed and written as it was laid out."""
-    value = json.loads(path.read_text())
-    change(value)
-    canonically = path.parent.name == "truth"
-    path.write_text(canonical(value).decode() + "\n" if canonically else deriving.written(value))
-
-
-def closed_anew(t):
-    """The opener's last line over score and page as they lie there."""
-    lines = ledger.read(t / ledger.NAME)
-    new = {"kind": "closed", "results": digest((t / "score.json").read_bytes())}
-    new["page"] = digest((t / "report.html").read_bytes())
-    written(t / ledger.NAME, [*lines[:-1], ledger.chained(lines[-2]["hash"], new)])
-
-
-def rescored(t, change):
-    """Another score, the page of it, and the ledger closed over both."""
-    edited(t / "score.json", change)
-    report(t)
-    closed_anew(t)
-
-
-def redone(t, change, signers=None):
-    """Recordings' and verdicts' lines changed, all chained anew, and opened again as the opening does it."""
-    lines = [dict(line) for line in ledger.read(t / "verdicts" / ledger.NAME)]
-    change(lines)
-    lines = chained(lines, signers)
-    end = next((k for k, line in enumerate(lines) if line["kind"] == "judged"), len(lines))
-    written(t / "recordings" / ledger.NAME, lines[:end])
-    written(t / "verdicts" / ledger.NAME, lines)
-    opened_anew(t, lines)
-
-
-def opened_anew(t, lines, change=lambda lines: None):
-    one = Trial(t, ledger.standing(lines))
-    new = deriving.opened_lines(one)
-    change(new)
-    lines = [*lines, *ledger.follow(lines[-1]["hash"], new)]
-    text = deriving.written(deriving.assembled(one, deriving.predictions(one), lines))
-    (t / "score.json").write_text(text)
-    page = digest(report(t).path.read_bytes())
-    closed = {"kind": "closed", "results": digest(text.encode()), "page": page}
-    written(t / ledger.NAME, [*lines, *ledger.follow(lines[-1]["hash"], [closed])])
-
-
-def committed_anew(t, case, lines, change):
-    """A truth changed, and its commitment with it."""
-    path = t / "truth" / f"{case}.json"
-    edited(path, change)
-    opening = json.loads(path.read_text())
-    of(lines, "concealed", case)["commitment"] = commitment(opening["salt"], opening["truth"])
-
+from benchsim.trial.hashing import digest, files_of
 
 # The opener.
 
@@ -207,16 +132,6 @@ def a_salt_of_the_opening(t):
     opened_anew(t, lines, lambda new: new[0].update(salt=new[1]["salt"]))
 
 
-def removed(*names):
-    def attack(t):
-        for name in names:
-            path = t / name
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-    attack.__name__ = "removed_" + "_".join(Path(name).name for name in names)
-    return attack
-
-
 def the_last_line_removed(t):
     written(t / ledger.NAME, ledger.read(t / ledger.NAME)[:-1])
 
@@ -252,16 +167,6 @@ def a_verdict(t):
 def verdicts_exchanged(t):
     one, two, aside = (t / "verdicts" / name for name in ("001", "002", "003x"))
     one.rename(aside), two.rename(one), aside.rename(two)
-
-
-def better_verdict(t, lines):
-    """The first that was not right is told what is concealed."""
-    case = next(c["case"] for c in json.loads((t / "score.json").read_text())["cases"] if c["concealed"] != "nothing")
-    truth = json.loads((t / "truth" / f"{case}.json").read_text())["truth"]
-    (t / "verdicts" / case / "diagnosis.json").write_text(
-        json.dumps(fakes.diagnosis(next(iter(truth["effects"]), None), value=1))
-    )
-    of(lines, "judged", case)["files"] = files_of(t / "verdicts" / case)
 
 
 def a_verdict_under_the_old_signature(t):
@@ -485,139 +390,3 @@ def test_what_a_forger_does_without_forging_verifies(spoilt):
     assert all(p.read_bytes() == body for p, body in before.items())
     redone(spoilt, lambda lines: None, {})
     assert trial.verify(spoilt).signed == {}
-
-
-# Consistent in itself: for the anchors alone.
-
-
-def all_made_anew(t, keys):
-    shutil.rmtree(t)
-    mine = keys["stranger"].path
-    options = {"make": fakes.make, "certificate": fakes.certificate, "key": mine}
-    trial.conceal(t, 6, seed=99, workers=0, **options)
-    trial.judge(t / "recordings", t / "verdicts", workers=0, diagnose=fakes.diagnose, key=mine)
-    trial.open(t)
-
-
-def signatures_taken_away(t, keys):
-    redone(t, lambda lines: None, {})
-
-
-def all_signed_by_another(t, keys):
-    redone(t, lambda lines: None, {"concealer": keys["stranger"], "judge": keys["stranger"]})
-
-
-def another_truth(t, keys):
-    change = {"setting_scale": 2.0}
-    redone(t, lambda lines: committed_anew(t, "001", lines, lambda opening: opening["truth"].update(change)), {})
-
-
-def another_verdict(t, keys):
-    redone(t, lambda lines: better_verdict(t, lines), {"concealer": keys["concealer"]})
-
-
-def another_verdict_signed_by_another(t, keys):
-    redone(t, lambda lines: better_verdict(t, lines), {"concealer": keys["concealer"], "judge": keys["stranger"]})
-
-
-def another_verdict_signed_by_the_concealer(t, keys):
-    redone(t, lambda lines: better_verdict(t, lines), {"concealer": keys["concealer"], "judge": keys["concealer"]})
-
-
-REDONE = [
-    all_made_anew,
-    signatures_taken_away,
-    all_signed_by_another,
-    another_truth,
-    another_verdict,
-    another_verdict_signed_by_another,
-    another_verdict_signed_by_the_concealer,
-]
-
-
-@pytest.mark.parametrize("attack", REDONE, ids=lambda x: x.__name__)
-def test_a_trial_made_anew_is_refused_by_its_anchors(spoilt, keys, attack):
-    head = trial.verify(spoilt).head
-    attack(spoilt, keys)
-    assert "Nobody vouches for it" in trial.verify(spoilt).summary()
-    with pytest.raises(BenchsimError, match=r"--root .*: no part of this trial ends with it"):
-        trial.verify(spoilt, roots=[head])
-    with pytest.raises(BenchsimError, match=r"--judge: the judge('s part is signed by another key| did not sign)"):
-        trial.verify(spoilt, judge=keys["judge"].public)
-
-
-def test_an_opening_taken_away_is_missed_by_its_root(spoilt, opened):
-    head = trial.verify(spoilt).head
-    removed("ledger.jsonl", "score.json", "report.html")(spoilt)
-    assert trial.verify(spoilt, unopened=True).stage == "judged, NOT opened"
-    with pytest.raises(BenchsimError, match="no part of this trial ends with it"):
-        trial.verify(spoilt, unopened=True, roots=[head])
-
-
-def test_what_an_unfinished_trial_may_not_hold(spoilt):
-    removed("ledger.jsonl", "score.json")(spoilt)
-    with pytest.raises(BenchsimError, match=r"report.html: the ledger knows nothing of it"):
-        trial.verify(spoilt, unopened=True)
-
-
-def test_a_moved_trial_verifies(opened, tmp_path):
-    """Times and places on the disk are another copy's; the leak test is of what was written down."""
-    shutil.copytree(opened, tmp_path / "t", copy_function=shutil.copyfile)
-    assert trial.verify(tmp_path / "t").head == trial.verify(opened).head
-    assert (tmp_path / "t/recordings/001/001.png").stat().st_mtime != equalised.EPOCH
-
-
-# What is committed to in no form that is known: by a concealer, a judge or an opener who want a traceback.
-
-WRONG = (None, True, -1, 10**30, 1e300, "", "x" * 500, "\x1b[2J\n", "\ud800", [], [[]], {}, {"a": {"a": 0}})
-
-
-def places(value, at=()):
-    """Paths to everything in plain values."""
-    for key in value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ():
-        yield (*at, key)
-        yield from places(value[key], (*at, key))
-
-
-def put(value, at, new):
-    for key in at[:-1]:
-        value = value[key]
-    value[at[-1]] = new
-
-
-def committed_to(t, name):
-    """The ledgers, over a file as it lies there."""
-    lines = [dict(line) for line in ledger.read(t / ledger.NAME)]
-    value = json.loads((t / name).read_text())
-    if name == "truth/plan.json":
-        lines[0]["plan"] = digest((t / name).read_bytes()[:-1])
-    elif name.startswith("truth"):
-        of(lines, "concealed", "003")["commitment"] = commitment(value["salt"], value["truth"])
-    elif name.startswith("verdicts"):
-        of(lines, "judged", "003")["files"] = files_of(t / "verdicts/003")
-    lines[-1]["results"] = digest((t / "score.json").read_bytes())
-    lines = chained(lines, {})
-    for part, end in zip(PARTS, FIRST_OF_NEXT, strict=True):
-        written(t / part, lines[: next((k for k, line in enumerate(lines) if line["kind"] == end), len(lines))])
-
-
-@pytest.mark.parametrize("name", ["truth/003.json", "verdicts/003/diagnosis.json", "score.json", "truth/plan.json"])
-def test_what_is_committed_to_in_another_form_ends_in_a_sentence(spoilt, name):
-    path = spoilt / name
-    whole, rng = path.read_text(), np.random.default_rng(5)
-    every = [at for at in places(json.loads(whole)) if at[0] != "salt"]
-    refused = 0
-    for at in (every[int(i)] for i in rng.choice(len(every), min(len(every), 12), replace=False)):
-        path.write_text(whole)
-        edited(path, lambda value, at=at: put(value, at, WRONG[int(rng.integers(len(WRONG)))]))
-        committed_to(spoilt, name)
-        ledgers = (spoilt / ledger.NAME).read_bytes()
-        for job in (trial.verify, trial.open):
-            try:
-                job(spoilt)
-            except BenchsimError as error:
-                assert "\n" not in str(error) and len(str(error)) < 1000
-                refused += 1
-            (spoilt / ledger.NAME).unlink(missing_ok=True)
-        (spoilt / ledger.NAME).write_bytes(ledgers)
-    assert refused >= 5
