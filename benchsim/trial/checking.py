@@ -45,11 +45,11 @@ def checked(trial: Trial, *, opened: bool, recordings: bool = True) -> list[str]
     ]
     for case, line in stands.concealed.items():
         folder = at / "recordings" / case
-        missing: tuple[str, ...] = () if recordings else (".png",)
         if recordings or folder.is_dir() or stands.trial["format"] != ledger.FIRST:
-            out += _differences(folder, line["files"], f"recordings/{case}", missing)
-        if recordings and "clues" in line:
-            out += _clues(folder, line["clues"], f"recordings/{case}")
+            wrong = _differences(folder, line["files"], f"recordings/{case}", () if recordings else (".png",))
+            if recordings and "clues" in line and not wrong:
+                wrong = _clues(folder, line["clues"], f"recordings/{case}")
+            out += wrong
     if stands.judged:
         verdicts = at / "verdicts"
         allowed = {ledger.NAME} | {
@@ -77,11 +77,10 @@ def _entries(folder: Path) -> list[Path]:
 
 def _clues(folder: Path, written: Mapping[str, int], where: str) -> list[str]:
     """Times and places on the disk were written down when the recordings were sealed, and are another copy's by now."""
-    found = leak_test.clues(folder) if folder.is_dir() else {}
-    passing = tuple(leak_test.PASSING)
-    if {k: v for k, v in found.items() if not k.endswith(passing)} != {
-        k: v for k, v in written.items() if not k.endswith(passing)
-    }:
+    kept = [
+        {k: v for k, v in c.items() if not k.endswith(leak_test.PASSING)} for c in (leak_test.clues(folder), written)
+    ]
+    if kept[0] != kept[1]:
         return [f"{where}: its names, sizes or metadata are not those that the ledger holds for the leak test"]
     return []
 
