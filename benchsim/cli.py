@@ -453,11 +453,11 @@ Folder = Annotated[Path, typer.Argument(help="Folder of the trial: recordings/, 
 
 
 @trial_app.command("open")
-def trial_open(folder: Folder, json: Json = False) -> None:
+def trial_open(folder: Folder, workers: Processes = None, json: Json = False) -> None:
     """Check every commitment, open, score cause, size and prediction, close the ledger."""
     from benchsim import trial
 
-    _do(trial.open, json, folder=folder)
+    _do(trial.open, json, folder=folder, workers=workers)
 
 
 Public = Annotated[str | None, typer.Option(metavar="PUBLIC", help="Key by which this part has to be signed.")]
@@ -488,6 +488,7 @@ def trial_verify(
     page: Annotated[
         bool, typer.Option("--page/--no-page", help="Make report.html again; without, it is another version's.")
     ] = True,
+    workers: Processes = None,
     json: Json = False,
 ) -> None:
     """Check that everything is as it was committed to, make again what follows from it; needs no secret."""
@@ -495,7 +496,7 @@ def trial_verify(
 
     _do(
         trial.verify, json, folder=folder, roots=root or [], concealer=concealer, judge=judge, timestamp=timestamp,
-        commit=commit, unopened=unopened, recordings=recordings, page=page,
+        commit=commit, unopened=unopened, recordings=recordings, page=page, workers=workers,
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.reading import JSON_BYTES, load_json, read_file
 from benchsim.jobs import reporting
+from benchsim.jobs.cluster import cluster
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trial import cases as making
 from benchsim.trial import claims, leak_test, ledger, prediction, score
@@ -51,14 +52,20 @@ def opened_lines(trial: Trial) -> list[dict[str, Any]]:
     return out
 
 
-def predictions(trial: Trial, progress: Progress = silent) -> dict[str, Any]:
+def predictions(trial: Trial, workers: int | None = None, progress: Progress = silent) -> dict[str, Any]:
     """Case → what its verdict predicts of settings that the judge never saw; wants recordings without their images."""
     seed = load_json(trial.folder / "truth" / "plan.json")["seed"]
-    out = {}
-    for k, (case, (_, truth)) in enumerate(truths_of(trial).items()):
-        progress(f"predicting settings kept back from {case}", k / len(trial.stands.concealed))
-        places = (trial.folder / part / case for part in ("recordings", "verdicts"))
-        out[case] = prediction.of_case(seed, truth, *places)
+    at = trial.folder.absolute()
+    tasks = {c: (seed, truth, at / "recordings" / c, at / "verdicts" / c) for c, (_, truth) in truths_of(trial).items()}
+    # Others are told at once to predict nothing.
+    slow = [case for case, (*_, verdict) in tasks.items() if (verdict / "amended.toml").is_file()]
+    out = {case: None if case in slow else prediction.of_case(*task) for case, task in tasks.items()}
+    with cluster(None, workers if slow else 0) as each:
+        for done, (index, found) in enumerate(each(prediction.of_case, [tasks[case] for case in slow]), 1):
+            if isinstance(found, BaseException):
+                raise found
+            out[slow[index]] = found
+            progress(f"predicted settings kept back from {done} of {len(slow)}", done / len(slow))
     return out
 
 
@@ -138,7 +145,7 @@ def planned_otherwise(trial: Trial) -> list[str]:
 
 
 def differing(
-    trial: Trial, lines: list[ledger.Line], *, page: bool, progress: Progress = silent
+    trial: Trial, lines: list[ledger.Line], *, page: bool, workers: int | None = None, progress: Progress = silent
 ) -> tuple[list[str], list[str]]:
     """Where an opened trial says what does not follow, and what could not be made again; wants its files checked.
 
@@ -150,6 +157,8 @@ def differing(
         Of its ledger.
     page : bool
         Whether the page is made again as well.
+    workers : int, optional
+        See `cluster.cluster`.
     """
     closed, at = trial.stands.closed, trial.folder
     assert closed is not None
@@ -165,7 +174,7 @@ def differing(
     if written(found).encode() != text:
         out.append("score.json: is not laid out as it is written")
     if all((at / "recordings" / case / "recording.toml").is_file() for case in trial.stands.concealed):
-        again = predictions(trial, progress)
+        again = predictions(trial, workers, progress)
         out += [
             f"score.json: kept_back {case}: does not follow from truth and verdict"
             for case in again

@@ -49,13 +49,15 @@ class OpenResult:
         return "\n".join([*lines, "", f"Root hash, to be published: {self.head}", f"written: {self.folder}/score.json"])
 
 
-def open(folder: Path | str, *, progress: Progress = silent) -> OpenResult:
+def open(folder: Path | str, *, workers: int | None = None, progress: Progress = silent) -> OpenResult:
     """Open a trial that was judged: check, score, and write ``ledger.jsonl``, ``score.json`` and ``report.html``.
 
     Parameters
     ----------
     folder : path
         Holds ``recordings/``, ``truth/`` and ``verdicts/``.
+    workers : int, optional
+        See `cluster.cluster`.
 
     Raises
     ------
@@ -79,9 +81,9 @@ def open(folder: Path | str, *, progress: Progress = silent) -> OpenResult:
     lines = ledger.read(path) if path.exists() else []
     with deriving.readable(at):
         if lines and ledger.standing(lines).closed is not None:
-            complain(deriving.differing(Trial(at, ledger.standing(lines)), lines, page=False)[0])
+            complain(deriving.differing(Trial(at, ledger.standing(lines)), lines, page=False, workers=workers)[0])
             return OpenResult(at, load_json(at / "score.json"), lines[-1]["hash"])
-        kept_back = deriving.predictions(trial, progress=lambda what, done: progress(what, 0.1 + 0.8 * done))
+        kept_back = deriving.predictions(trial, workers, progress=lambda what, done: progress(what, 0.1 + 0.8 * done))
         partial = at / f".{ledger.NAME}"
         shutil.copyfile(at / "verdicts" / ledger.NAME, partial)
         ledger.append(partial, deriving.opened_lines(trial))

@@ -72,7 +72,7 @@ def run(
     if not (path.exists() and ledger.standing(ledger.read(path)).committed):
         judge(folder / "recordings", folder / "verdicts", scheduler, workers, key)
     progress("opening", 0.95)
-    result = open(folder)
-    verify(folder)
+    result = open(folder, workers=workers)
+    verify(folder, workers=workers)
     progress("done", 1.0)
     return result

@@ -84,6 +84,7 @@ def verify(
     unopened: bool = False,
     recordings: bool = True,
     page: bool = True,
+    workers: int | None = None,
     progress: Progress = silent,
 ) -> VerifyResult:
     """Check a trial: ledger, recordings, verdicts, truths; and make again all that follows from them.
@@ -103,6 +104,8 @@ def verify(
         True: it is on its way; check it as far as it has come.
     recordings, page : bool
         False: the images, the page may be missing, and are not checked.
+    workers : int, optional
+        See `cluster.cluster`.
 
     Raises
     ------
@@ -147,7 +150,7 @@ def verify(
     if opened:
         with deriving.readable(at):
             wrong, unmade = deriving.differing(
-                trial, lines, page=page, progress=lambda what, done: progress(what, 0.2 + 0.8 * done)
+                trial, lines, page=page, workers=workers, progress=lambda what, done: progress(what, 0.2 + 0.8 * done)
             )
         complain(wrong)
         unchecked += unmade
