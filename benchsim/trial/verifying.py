@@ -204,6 +204,7 @@ def _files(at: Path, stands: Standing, recordings: bool, page: bool) -> list[str
     out += [f"{name}: the ledger knows nothing of it" for name in sorted(found - must - may)]
     out += [f"{name}: is a link" for name in sorted(found) if (at / name).is_symlink()]
     closed = stands.closed
-    if closed is not None and (at / "score.json").is_file() and file_hash(at / "score.json") != closed["results"]:
-        out.append("score.json: was changed")
+    for name, key in (("score.json", "results"), (PAGE, "page")):
+        if closed is not None and key in closed and (at / name).is_file() and file_hash(at / name) != closed[key]:
+            out.append(f"{name}: is not the one that the ledger closes with")
     return out

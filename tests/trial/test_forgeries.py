@@ -122,6 +122,22 @@ def the_page_of_another_score(t):
     closed_anew(t)
 
 
+def all_in_the_first_format(t):
+    """Which had no clues in its ledger, so that a forged leak test contradicts nothing."""
+    score = json.loads((t / "score.json").read_text())
+    lines = [{k: v for k, v in line.items() if k != "clues"} for line in ledger.read(t / ledger.NAME)]
+    lines[0]["format"] = ledger.FIRST
+    lines = chained(lines[:-1], {})
+    for part, end in zip(PARTS, FIRST_OF_NEXT, strict=True):
+        written(t / part, lines[: next((k for k, line in enumerate(lines) if line["kind"] == end), len(lines))])
+    one = Trial(t, ledger.standing(ledger.read(t / PARTS[1])))
+    text = deriving.written(deriving.assembled(one, score["kept_back"], lines, {**score["leak"], "auc": 0.5}))
+    (t / "score.json").write_text(text)
+    report(t)
+    closed = {"kind": "closed", "results": digest(text.encode())}
+    written(t / ledger.NAME, [*lines, *ledger.follow(lines[-1]["hash"], [closed])])
+
+
 def words_of_the_opening(t):
     lines = ledger.read(t / "verdicts" / ledger.NAME)
     opened_anew(t, lines, lambda new: new[0].update(says="canting → canting"))
@@ -319,10 +335,11 @@ ATTACKS = [
     (predictions, "kept_back 001: does not follow"),
     (predictions_and_all_that_follows, "kept_back 001: does not follow"),
     (the_score_laid_out_otherwise, "score.json: is not laid out as it is written"),
-    (the_score_not_closed_over, "score.json: was changed"),
+    (the_score_not_closed_over, "score.json: is not the one that the ledger closes with"),
     (the_page, "report.html: is not the one that the ledger closes with"),
     (the_page_closed_over, "report.html: is not the page of this score"),
     (the_page_of_another_score, "report.html: is not the page of this score"),
+    (all_in_the_first_format, "is of the first format, which vouches for no leak test"),
     (words_of_the_opening, "ledger.jsonl: its lines 'opened' do not follow"),
     (a_salt_of_the_opening, "truth/001.json: truth or salt is not what was committed to"),
     (removed("score.json"), "score.json: is not there"),
@@ -371,6 +388,13 @@ ATTACKS = [
     (a_picture_by_a_link, "is a link or no plain file"),
     (the_recordings_ledger_of_a_later_part, "recordings/ledger.jsonl: does not end where"),
 ]
+
+
+@pytest.mark.parametrize("forged", [the_page, the_score_not_closed_over])
+def test_a_page_that_another_version_made_is_still_the_one_closed_with(spoilt, forged):
+    forged(spoilt)
+    with pytest.raises(BenchsimError, match="is not the one that the ledger closes with"):
+        trial.verify(spoilt, page=False)
 
 
 @pytest.mark.parametrize(("attack", "says"), ATTACKS, ids=lambda x: getattr(x, "__name__", ""))
