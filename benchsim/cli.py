@@ -389,6 +389,10 @@ TrialSeed = Annotated[
     typer.Option(min=0, help="Only to make an opened trial again; default 256 bits that nobody can guess."),
 ]
 Shrink = Annotated[int, typer.Option(min=1, max=4, help="Divides the cameras' 2000 x 1500 pixels.")]
+Key = Annotated[
+    Path | None,
+    typer.Option(help="Ed25519 key to sign with ('trial key' makes one); keep it out of the trial's folder."),
+]
 Zero = Annotated[bool, typer.Option("--zero", help="The leak test's trial: every amplitude zero, all else the same.")]
 
 
@@ -405,6 +409,7 @@ def trial_begin(
     seed: TrialSeed = None,
     shrink: Shrink = 2,
     zero: Zero = False,
+    key: Key = None,
     scheduler: SchedulerAt = None,
     tls: Tls = None,
     insecure: Insecure = False,
@@ -416,7 +421,7 @@ def trial_begin(
 
     job = trial.run if command.info_name == "run" else trial.conceal
     _do(
-        job, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, workers=workers,
+        job, json, output=output, cases=cases, seed=seed, shrink=shrink, zero=zero, key=key, workers=workers,
         scheduler=_scheduler(scheduler, tls, insecure),
     )  # fmt: skip
 
@@ -428,6 +433,7 @@ def trial_judge(
     again: Annotated[
         list[str] | None, typer.Option(help="Case to judge once more, recorded as such; may be repeated.")
     ] = None,
+    key: Key = None,
     scheduler: SchedulerAt = None,
     tls: Tls = None,
     insecure: Insecure = False,
@@ -438,7 +444,7 @@ def trial_judge(
     from benchsim import trial
 
     _do(
-        trial.judge, json, recordings=recordings, output=output, again=again or [], workers=workers,
+        trial.judge, json, recordings=recordings, output=output, again=again or [], key=key, workers=workers,
         scheduler=_scheduler(scheduler, tls, insecure),
     )  # fmt: skip
 
@@ -447,26 +453,62 @@ Folder = Annotated[Path, typer.Argument(help="Folder of the trial: recordings/, 
 
 
 @trial_app.command("open")
-def trial_open(folder: Folder, json: Json = False) -> None:
+def trial_open(folder: Folder, workers: Processes = None, json: Json = False) -> None:
     """Check every commitment, open, score cause, size and prediction, close the ledger."""
     from benchsim import trial
 
-    _do(trial.open, json, folder=folder)
+    _do(trial.open, json, folder=folder, workers=workers)
+
+
+Public = Annotated[str | None, typer.Option(metavar="PUBLIC", help="Key by which this part has to be signed.")]
 
 
 @trial_app.command("verify")
 def trial_verify(
     folder: Folder,
-    published: Annotated[str | None, typer.Option(help="A hash that was published: the ledger must hold it.")] = None,
+    root: Annotated[
+        list[str] | None, typer.Option(help="Root hash that was published: a part ends with it; may be repeated.")
+    ] = None,
+    concealer: Public = None,
+    judge: Public = None,
+    timestamp: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="RESPONSE CA", help="RFC 3161 time stamp of a root hash, and whom to trust (needs openssl)."
+        ),
+    ] = None,
+    commit: Annotated[
+        tuple[Path, str] | None,
+        typer.Option(metavar="REPOSITORY HASH", help="Git commit whose message holds a root hash."),
+    ] = None,
+    unopened: Annotated[bool, typer.Option("--unopened", help="It is on its way: check it as far as it is.")] = False,
     recordings: Annotated[
         bool, typer.Option("--recordings/--no-recordings", help="Check the images; without, they may be missing.")
     ] = True,
+    page: Annotated[
+        bool, typer.Option("--page/--no-page", help="Make report.html again; without, it is another version's.")
+    ] = True,
+    workers: Processes = None,
     json: Json = False,
 ) -> None:
-    """Check that everything is as it was committed to; needs no secret."""
+    """Check that everything is as it was committed to, make again what follows from it; needs no secret."""
     from benchsim import trial
 
-    _do(trial.verify, json, folder=folder, published=published, recordings=recordings)
+    _do(
+        trial.verify, json, folder=folder, roots=root or [], concealer=concealer, judge=judge, timestamp=timestamp,
+        commit=commit, unopened=unopened, recordings=recordings, page=page, workers=workers,
+    )  # fmt: skip
+
+
+@trial_app.command("key")
+def trial_key(
+    path: Annotated[Path, typer.Argument(help="File for the private half; its public half is printed.")],
+    json: Json = False,
+) -> None:
+    """Make an Ed25519 key to sign with, or tell the public half of one."""
+    from benchsim import trial
+
+    _do(trial.key, json, path=path)
 
 
 @app.command()

@@ -1,6 +1,6 @@
 """The published trial: run it with a fresh seed, keep what a referee needs, make its recordings again.
 
-python analysis/trial/published.py run out/trial --cases 150
+python analysis/trial/published.py run out/trial --cases 150 --key ~/trial-key
 python analysis/trial/published.py keep out/trial      # and its table into README.md
 python analysis/trial/published.py again out/again
 """
@@ -38,13 +38,11 @@ OUTCOMES = {
 
 
 def keep(folder: Path) -> None:
-    """Pack ledger, truths, verdicts, score and page, of the recordings their ledger; put the tables in the README."""
+    """Pack the trial without the pictures of its recordings; put the tables in the README."""
     trial.verify(folder)
-    parts = (ledger.NAME, f"recordings/{ledger.NAME}", "truth", "verdicts", "score.json", "report.html")
     packed = KEPT.with_suffix(".part")
     with tarfile.open(packed, "w:xz", preset=9) as tar:
-        for part in parts:
-            tar.add(folder / part, f"kept/{part}", filter=_readable)
+        tar.add(folder, "kept", filter=_readable)
     packed.replace(KEPT)
     readme = KEPT.with_name("README.md")
     before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
@@ -54,7 +52,9 @@ def keep(folder: Path) -> None:
         print(trial.verify(kept, recordings=False).summary())
 
 
-def _readable(part: tarfile.TarInfo) -> tarfile.TarInfo:
+def _readable(part: tarfile.TarInfo) -> tarfile.TarInfo | None:
+    if part.name.endswith(".png"):
+        return None
     # Truths are sealed until a trial is opened.
     part.mode = 0o755 if part.isdir() else 0o644
     return part
@@ -114,14 +114,15 @@ def _table(head: list[str], rows: list[list[Any]]) -> str:
 
 
 def again(folder: Path) -> None:
-    """Conceal the same trial from its opened seed, and say which recordings are the same to the byte."""
+    """Conceal the same trial from its opened seed, and say how many recordings and truths are the same to the byte."""
     with unpacked() as kept:
         plan = json.loads((kept / "truth" / "plan.json").read_text(encoding="utf-8"))
         was = ledger.standing(ledger.read(kept / "recordings" / ledger.NAME)).concealed
     trial.conceal(folder, len(plan["kinds"]), seed=int(plan["seed"], 16), shrink=plan["shrink"], zero=plan["zero"])
     now = ledger.standing(ledger.read(folder / "recordings" / ledger.NAME)).concealed
-    same = [case for case in was if was[case]["files"] == now[case]["files"]]
-    print(f"{len(same)} of {len(was)} recordings are the same to the byte")
+    for what, key in (("recordings", "files"), ("truths", "commitment")):
+        same = [case for case in was if was[case][key] == now[case][key]]
+        print(f"{len(same)} of {len(was)} {what} are the same to the byte")
 
 
 def main() -> None:
@@ -131,9 +132,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--cases", type=int, default=150)
     parser.add_argument("--workers", type=int, default=None)
+    parser.add_argument("--key", type=Path, default=None, help="signs recordings and verdicts")
     args = parser.parse_args()
     if args.what == "run":
-        print(trial.run(args.folder, args.cases, workers=args.workers).summary())
+        print(trial.run(args.folder, args.cases, workers=args.workers, key=args.key).summary())
     elif args.what == "keep":
         keep(args.folder)
     else:

@@ -1,4 +1,4 @@
-"""Concealed trials of the diagnosis: conceal, judge, open, verify, and all of it in a run. See README.md beside this.
+"""Concealed trials of the diagnosis: conceal, judge, open, verify, all of it in a run, and keys; see README.md here.
 
 The functions are looked up when they are first used, so that ``import benchsim.trial`` stays light.
 """
@@ -14,9 +14,10 @@ _MODULES = {
     "open": "opening",
     "verify": "verifying",
     "run": "running",
+    "key": "anchors",
 }
 
-__all__ = ["conceal", "judge", "open", "run", "verify"]
+__all__ = ["conceal", "judge", "key", "open", "run", "verify"]
 
 
 def __getattr__(name: str) -> Any:

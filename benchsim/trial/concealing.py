@@ -15,8 +15,8 @@ from benchsim.bench.reading import load_json
 from benchsim.bench.writing import write_text
 from benchsim.jobs.cluster import Each, Scheduler, beside, cluster
 from benchsim.jobs.progress import Progress, silent
+from benchsim.trial import anchors, draws, equalised, leak_test, ledger
 from benchsim.trial import cases as making
-from benchsim.trial import draws, equalised, ledger
 from benchsim.trial.cases import Plan
 from benchsim.trial.generator_test import certify
 from benchsim.trial.hashing import canonical, code, commitment, derived, digest, files_of, rng_of
@@ -46,7 +46,7 @@ class ConcealResult:
         """What a person wants to know, on a terminal."""
         return (
             f"{self.cases} cases concealed. Give away {self.folder / 'recordings'}/, keep {self.folder / 'truth'}/.\n"
-            f"Publish the ledger's last hash: {self.head}\n"
+            f"Root hash, to be published: {self.head}\n"
             f"next: benchsim trial judge {self.folder / 'recordings'} -o {self.folder / 'verdicts'}"
         )
 
@@ -65,6 +65,7 @@ def conceal(
     seed: int | None = None,
     shrink: int = 2,
     zero: bool = False,
+    key: Path | None = None,
     scheduler: Scheduler | None = None,
     workers: int | None = None,
     make: Make = making.make,
@@ -80,6 +81,8 @@ def conceal(
     cases : int
     seed, shrink, zero
         See `cases.plan`.
+    key : path, optional
+        Ed25519 key that signs what is concealed, see `anchors.key`.
     scheduler, workers
         What the cases run on, see `cluster.cluster`.
     make, certificate : callable
@@ -88,15 +91,19 @@ def conceal(
     Raises
     ------
     BenchsimError
-        If the folder holds something else, another trial, or the generator is not certified.
+        If the folder holds something else, another trial, or the key, or the generator is not certified.
     """
     # Workers may have been started elsewhere.
     folder = Path(output).absolute()
     recordings, truth = folder / "recordings", folder / "truth"
+    private = None if key is None else anchors.read_key(key, [folder])
     plan = _planned(folder, cases, seed, shrink, zero)
     names = ledger.cases_of(cases)
     if recordings.exists():
-        return ConcealResult(folder, cases, ledger.standing(ledger.read(recordings / ledger.NAME)).head)
+        stands = ledger.standing(ledger.read(recordings / ledger.NAME))
+        if private is not None:
+            anchors.complain(stands, "concealer", anchors.public_of(private))
+        return ConcealResult(folder, cases, stands.head)
     rendered = truth / "rendered"
     rendered.mkdir(exist_ok=True)
     todo = [k for k, name in enumerate(names, 1) if not (truth / f"{name}.json").exists()]
@@ -115,7 +122,7 @@ def conceal(
     if failed:
         raise BenchsimError(f"{len(failed)} cases were not made, the first: {failed[0]}; run the command again")
     progress("sealing", 1.0)
-    head = _seal(plan, names, recordings, truth, rendered)
+    head = _seal(plan, names, recordings, truth, rendered, private)
     return ConcealResult(folder, cases, head)
 
 
@@ -169,12 +176,14 @@ def _one(make: Make, plan: Plan, number: int, rendered: Path) -> dict[str, Any]:
     return truth
 
 
-def _seal(plan: Plan, names: list[str], recordings: Path, truth: Path, rendered: Path) -> str:
+def _seal(
+    plan: Plan, names: list[str], recordings: Path, truth: Path, rendered: Path, private: anchors.Private | None
+) -> str:
     """Lay all recordings out at once, write the ledger beside them, and make it all equally old."""
     lines: list[dict[str, Any]] = [
         {
             "kind": "trial",
-            "format": "benchsim-trial/1",
+            "format": ledger.FORMAT,
             "cases": len(names),
             "withheld": list(plan.withheld),
             # The seed in it has 256 bits: it is its own salt.
@@ -189,6 +198,7 @@ def _seal(plan: Plan, names: list[str], recordings: Path, truth: Path, rendered:
     staging = recordings.with_name(".recordings")
     shutil.rmtree(staging, ignore_errors=True)
     equalised.laid_out(rendered, staging)
+    equalised.timeless(staging)
     for name in names:
         opening = load_json(truth / f"{name}.json")
         lines.append(
@@ -197,10 +207,13 @@ def _seal(plan: Plan, names: list[str], recordings: Path, truth: Path, rendered:
                 "case": name,
                 "commitment": commitment(opening["salt"], opening["truth"]),
                 "files": files_of(staging / name),
+                "clues": leak_test.clues(staging / name),
             }
         )
     lines.append({"kind": "sealed", "cases": len(names)})
     head = ledger.append(staging / ledger.NAME, lines)
+    if private is not None:
+        head = ledger.append(staging / ledger.NAME, [anchors.signature(private, "concealer", head)])
     equalised.timeless(staging)
     os.rename(staging, recordings)
     shutil.rmtree(rendered)

@@ -17,7 +17,7 @@ from benchsim.bench.files import read
 from benchsim.bench.writing import write_text
 from benchsim.jobs.cluster import Each, Scheduler, beside, cluster
 from benchsim.jobs.progress import Progress, silent
-from benchsim.trial import ledger
+from benchsim.trial import anchors, ledger
 from benchsim.trial.hashing import canonical, code, files_of
 
 Diagnose = Callable[[Path, Path, Path, Sequence[str]], None]
@@ -51,7 +51,7 @@ class JudgeResult:
             lines.append(f"{len(self.unusable)} without a verdict: {', '.join(self.unusable)}")
         if self.again:
             lines.append(f"judged more than once, and recorded so: {', '.join(self.again)}; the first run counts")
-        return "\n".join([*lines, f"Publish the ledger's last hash: {self.head}"])
+        return "\n".join([*lines, f"Root hash, to be published: {self.head}"])
 
 
 def judge(
@@ -59,6 +59,7 @@ def judge(
     output: Path | str,
     *,
     again: Sequence[str] = (),
+    key: Path | None = None,
     scheduler: Scheduler | None = None,
     workers: int | None = None,
     diagnose: Diagnose | None = None,
@@ -74,6 +75,8 @@ def judge(
         Folder of the verdicts.
     again : sequence of str
         Cases to judge once more; recorded as a further run, which never counts.
+    key : path, optional
+        Ed25519 key that signs the verdicts, see `anchors.key`.
     scheduler, workers
         What the cases run on, see `cluster.cluster`.
     diagnose : callable
@@ -87,6 +90,9 @@ def judge(
     # Workers may have been started elsewhere.
     given, folder = Path(recordings).absolute(), Path(output).absolute()
     do = diagnose or diagnose_recording
+    private = None if key is None else anchors.read_key(key, [given, folder])
+    if key is not None and key.absolute().parent == given.parent == folder.parent:
+        raise BenchsimError(f"--key {key}: lies in {given.parent}, which is handed on; keep keys elsewhere")
     published = ledger.read(given / ledger.NAME)
     stands = ledger.standing(published, str(given / ledger.NAME))
     if not stands.sealed:
@@ -94,6 +100,7 @@ def judge(
     for case, line in stands.concealed.items():
         if files_of(given / case) != line["files"]:
             raise BenchsimError(f"{given / case}: is not what the ledger commits to; get the recordings anew")
+    anchors.complain(stands, "concealer")
     path = folder / ledger.NAME
     _take_up(folder, path, published)
     names = list(stands.concealed)
@@ -117,6 +124,10 @@ def judge(
         with cluster(scheduler, workers) as each:
             _again(given, folder, path, list(again), do, withheld, each)
     lines = ledger.standing(ledger.read(path), str(path))
+    if private is not None and "judge" not in lines.signed:
+        ledger.append(path, [anchors.signature(private, "judge", lines.head)])
+        lines = ledger.standing(ledger.read(path), str(path))
+    anchors.complain(lines, "judge", None if private is None else anchors.public_of(private))
     unusable = tuple(name for name in names if not (folder / name / "diagnosis.json").exists())
     return JudgeResult(folder, len(names), lines.twice, unusable, lines.head)
 

@@ -26,21 +26,25 @@ FEWEST = 4
 """Cases of either sort below which nothing can be said."""
 
 
-def clues(folder: Path) -> dict[str, float]:
+PASSING = (" time", " order on disk")
+"""Ends of clues that a copy of the files does not keep."""
+
+
+def clues(folder: Path) -> dict[str, int]:
     """Numbers that a folder tells without any content of its files: names, sizes, times, PNG's chunks."""
     paths = sorted(p for p in folder.rglob("*") if p.is_file())
-    out: dict[str, float] = {"files": float(len(paths)), "folder time": float(folder.stat().st_mtime_ns)}
-    total = 0.0
+    out = {"files": len(paths), "folder time": folder.stat().st_mtime_ns}
+    total = 0
     for path in paths:
         name, stat = path.relative_to(folder).as_posix(), path.stat()
         total += stat.st_size
-        out[f"{name} size"] = float(stat.st_size)
-        out[f"{name} time"] = float(stat.st_mtime_ns)
-        out[f"{name} order on disk"] = float(stat.st_ino)
+        out[f"{name} size"] = stat.st_size
+        out[f"{name} time"] = stat.st_mtime_ns
+        out[f"{name} order on disk"] = stat.st_ino
         if path.suffix == ".png":
             chunks = _chunks(path)
-            out[f"{name} chunks"] = float(len(chunks))
-            out[f"{name} metadata"] = float(sum(size for kind, size in chunks if kind not in (b"IHDR", b"IDAT")))
+            out[f"{name} chunks"] = len(chunks)
+            out[f"{name} metadata"] = sum(size for kind, size in chunks if kind not in (b"IHDR", b"IDAT"))
     return {**out, "size": total}
 
 

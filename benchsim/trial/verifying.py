@@ -1,29 +1,51 @@
-"""``benchsim trial verify``: is everything as it was committed to? Needs no secret."""
+"""``benchsim trial verify``: is everything as it was committed to, and who vouches for that? Needs no secret."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.reading import file_hash
 from benchsim.jobs.progress import Progress, silent
-from benchsim.trial import ledger
-from benchsim.trial.checking import Trial, checked, complain, truths_of
-from benchsim.trial.hashing import digest
-from benchsim.trial.opening import assembled
+from benchsim.jobs.reporting import NAME as PAGE
+from benchsim.trial import anchors, deriving, ledger
+from benchsim.trial.checking import Trial, checked, complain
+from benchsim.trial.ledger import Standing
+
+NOBODY = (
+    "Nobody vouches for it: whoever held the folder may have made all of it anew. Check a root hash that was published "
+    "(--root), the signers (--concealer, --judge), a time stamp (--timestamp) or a Git commit (--commit)."
+)
 
 
 @dataclass(frozen=True)
 class VerifyResult:
-    """What was found to hold."""
+    """What was found to hold.
+
+    Attributes
+    ----------
+    folder : Path
+    cases : int
+    stage : str
+    head : str
+        Hash of the ledger's last line.
+    signed : mapping of "concealer" or "judge" → public key
+    vouched : tuple of str
+        What ties it to the world; empty if the folder stands for itself alone.
+    unchecked : tuple of str
+        What was not, or could not be, made again.
+    """
 
     folder: Path
     cases: int
     stage: str
     head: str
-    recordings: bool
+    signed: dict[str, str]
+    vouched: tuple[str, ...]
+    unchecked: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``--json``."""
@@ -33,96 +55,156 @@ class VerifyResult:
             "cases": self.cases,
             "stage": self.stage,
             "head": self.head,
-            "recordings_checked": self.recordings,
+            "signed": self.signed,
+            "vouched": list(self.vouched),
+            "unchecked": list(self.unchecked),
         }
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        unseen = "" if self.recordings else "\nThe recordings' images were not there and were NOT checked."
-        return f"verified: {self.cases} cases, {self.stage}; the ledger's last hash is {self.head}{unseen}"
+        lines = [f"verified: {self.cases} cases, {self.stage}; root hash {self.head}"]
+        lines += [f"{by}: " + (f"signed, key {self.signed[by]}" if by in self.signed else "unsigned") for by in BOTH]
+        if len(set(self.signed.values())) == 1 and len(self.signed) == len(BOTH):
+            lines.append("Both signed with the same key.")
+        lines += [f"NOT checked: {what}" for what in self.unchecked]
+        return "\n".join([*lines, f"vouched for by: {'; '.join(self.vouched)}" if self.vouched else NOBODY])
+
+
+BOTH = ("concealer", "judge")
 
 
 def verify(
-    folder: Path | str, *, published: str | None = None, recordings: bool = True, progress: Progress = silent
+    folder: Path | str,
+    *,
+    roots: Sequence[str] = (),
+    concealer: str | None = None,
+    judge: str | None = None,
+    timestamp: tuple[Path, Path] | None = None,
+    commit: tuple[Path, str] | None = None,
+    unopened: bool = False,
+    recordings: bool = True,
+    page: bool = True,
+    workers: int | None = None,
+    progress: Progress = silent,
 ) -> VerifyResult:
-    """Check a trial as far as it has come: ledger, recordings, verdicts, and after the opening truths and score.
+    """Check a trial: ledger, recordings, verdicts, truths; and make again all that follows from them.
 
     Parameters
     ----------
     folder : path
-        Holds ``recordings/``, ``verdicts/``, ``truth/`` as far as they are there.
-    published : str, optional
-        A hash that was published when a part ended; the ledger must hold it. Without one, a ledger that was written
-        anew from its beginning cannot be told from the first.
-    recordings : bool
-        False: the images are not there and are not checked.
+    roots : sequence of str
+        Hashes that were published when a part ended; each has to end a part of this ledger.
+    concealer, judge : str, optional
+        Public keys by which they have to have signed.
+    timestamp : (token, authority), optional
+        See `anchors.stamped`.
+    commit : (repository, hash), optional
+        See `anchors.committed`.
+    unopened : bool
+        True: it is on its way; check it as far as it has come.
+    recordings, page : bool
+        False: the images, the page may be missing, and are not checked.
+    workers : int, optional
+        See `cluster.cluster`.
 
     Raises
     ------
     BenchsimError
-        If anything is not as it was committed to.
+        If anything is not as it was committed to, or not vouched for as asked.
     """
     at = Path(folder)
     progress("checking the ledger", 0.0)
-    parts = [at / "recordings" / ledger.NAME, at / "verdicts" / ledger.NAME, at / ledger.NAME]
-    there = [p for p in parts if p.exists()]
-    if not there:
-        raise BenchsimError(f"{at}: holds no ledger; name the folder of a trial")
-    read = [ledger.read(p) for p in there]
-    last = parts.index(there[-1])
-    problems = [f"{p.parent.name}/{p.name}: is not there" for p in parts[:last] if p not in there]
-    for shorter, longer, path in zip(read, read[1:], there, strict=False):
-        if longer[: len(shorter)] != shorter:
-            problems.append(f"{path.parent.name}/{path.name}: what followed it does not begin with it")
-    lines = read[-1]
-    stands = ledger.standing(lines, str(there[-1].relative_to(at)))
-    for path, part in zip(there[:-1], read[:-1], strict=True):
-        before = ledger.standing(part, str(path.relative_to(at)))
-        whole = before.sealed if path.parent.name == "recordings" else before.committed
-        if not whole:
-            problems.append(f"{path.parent.name}/{path.name}: ends before its part was done")
-    if there[-1] == parts[2] and stands.closed is None:
-        problems.append("ledger.jsonl: ends before the trial was closed; a line was removed")
-    if there[-1] == parts[0] and not stands.sealed:
-        problems.append("recordings/ledger.jsonl: ends before the recordings were sealed; a line was removed")
-    if (at / "score.json").exists() and stands.closed is None:
-        problems.append("score.json: is there, but the ledger is not closed")
+    parts = {"recordings": at / "recordings", "verdicts": at / "verdicts", "opening": at}
+    read = {part: ledger.read(p / ledger.NAME) for part, p in parts.items() if (p / ledger.NAME).exists()}
+    if "recordings" not in read:
+        raise BenchsimError(f"{at}: holds no recordings/{ledger.NAME}; name the folder of a trial")
+    if "opening" in read and "verdicts" not in read:
+        raise BenchsimError(f"the trial does not verify: verdicts/{ledger.NAME}: is not there")
+    stood = {part: ledger.standing(own, f"{parts[part].relative_to(at) / ledger.NAME}") for part, own in read.items()}
+    lines, stands = list(read.values())[-1], list(stood.values())[-1]
+    ends = {part: s.head for part, s in stood.items()}
+    problems = _unfinished(stood, unopened) + _files(at, stands, recordings, page)
+    for shorter, longer in zip(read, list(read)[1:], strict=False):
+        if read[longer][: len(read[shorter])] != read[shorter]:
+            problems.append(f"{longer}: the ledger does not begin with that of {shorter}")
     problems += [f"case {case}: was judged {len(stands.judged[case])} times" for case in stands.twice]
-    if published is not None and published not in {line["hash"] for line in lines}:
-        problems.append(f"--published {published[:12]}…: no line of the ledger has this hash; it was written anew")
-    progress("checking files", 0.2)
+    problems += anchors.unsigned(stands, {"concealer": concealer, "judge": judge})
+    problems += [
+        f"--root {root[:12]}…: no part of this trial ends with it; it is another one, was written anew or cut short"
+        for root in roots
+        if root.strip().lower() not in ends.values()
+    ]
+    progress("checking files", 0.1)
     trial = Trial(at, stands)
     opened = stands.closed is not None
-    problems += checked(trial, opened=opened, recordings=recordings)
+    problems += checked(trial, opened=opened or (at / "truth").exists(), recordings=recordings)
     complain(problems)
+    vouched = [f"published root of the {part}" for part, head in ends.items() if head in _plain(roots)]
+    vouched += [f"{by} as expected" for by, key in zip(BOTH, (concealer, judge), strict=True) if key]
+    if timestamp is not None:
+        part, when = anchors.stamped(*timestamp, ends)
+        vouched.append(f"time stamp of the {part}, {when}")
+    if commit is not None:
+        vouched.append(f"commit {commit[1]} with the root of the {anchors.committed(*commit, ends)}")
+    unchecked = [] if recordings else ["the recordings' images"]
     if opened:
-        progress("scoring again", 0.8)
-        complain(_score(trial, lines))
+        with deriving.readable(at):
+            wrong, unmade = deriving.differing(
+                trial, lines, page=page, workers=workers, progress=lambda what, done: progress(what, 0.2 + 0.8 * done)
+            )
+        complain(wrong)
+        unchecked += unmade
     stage = (
         "opened and scored"
         if opened
-        else "judged, not opened"
+        else "judged, NOT opened"
         if stands.committed
         else f"{len(stands.judged)} of them judged"
         if stands.judged
-        else "concealed, not judged"
+        else "concealed, NOT judged"
     )
-    return VerifyResult(at, len(stands.concealed), stage, stands.head, recordings)
+    signed = {by: line["key"] for by, line in stands.signed.items()}
+    return VerifyResult(at, len(stands.concealed), stage, stands.head, signed, tuple(vouched), tuple(unchecked))
 
 
-def _score(trial: Trial, lines: list[ledger.Line]) -> list[str]:
-    """The score's hash, and whether it follows from truths and verdicts; predictions are taken as they stand."""
-    assert trial.stands.closed is not None
-    try:
-        text = (trial.folder / "score.json").read_bytes()
-    except OSError:
-        return ["score.json: is not there"]
-    if digest(text) != trial.stands.closed["results"]:
-        return ["score.json: was changed"]
-    found = {k: v for k, v in json.loads(text).items() if k != "leak"}
-    truths = {case: truth for case, (_, truth) in truths_of(trial).items()}
-    again = json.loads(json.dumps(assembled(trial, truths, found["kept_back"], lines[:-1])))
-    if found != again:
-        which = ", ".join(sorted(k for k in again if found.get(k) != again[k])) or "more than there is"
-        return [f"score.json: does not follow from truths and verdicts ({which})"]
-    return []
+def _plain(roots: Sequence[str]) -> set[str]:
+    return {root.strip().lower() for root in roots}
+
+
+def _unfinished(stood: dict[str, Standing], unopened: bool) -> list[str]:
+    """Parts whose ledger ends before they were done."""
+    out = []
+    if not stood["recordings"].sealed or stood["recordings"].judged:
+        out.append(f"recordings/{ledger.NAME}: does not end where the recordings were sealed")
+    if "opening" in stood:
+        if not stood["verdicts"].committed or stood["verdicts"].opened:
+            out.append(f"verdicts/{ledger.NAME}: does not end where the verdicts were committed to")
+        if stood["opening"].closed is None:
+            out.append(f"{ledger.NAME}: ends before the trial was closed; a line was removed")
+    elif not unopened:
+        out.append("the trial is not opened, or its opening was taken away; say --unopened to check one on its way")
+    elif "verdicts" in stood and stood["verdicts"].opened:
+        out.append(f"verdicts/{ledger.NAME}: goes on beyond the verdicts")
+    return out
+
+
+def _files(at: Path, stands: Standing, recordings: bool, page: bool) -> list[str]:
+    """What must lie in the folder by what the ledger claims, and nothing else."""
+    must, may = {"recordings"}, {"truth"}
+    if stands.judged:
+        must |= {"verdicts"}
+    else:
+        may |= {"verdicts"}
+    if stands.closed is not None:
+        must |= {"truth", "score.json", PAGE, ledger.NAME}
+    if not page:
+        must, may = must - {PAGE}, may | {PAGE}
+    found = {p.name for p in at.iterdir()}
+    out = [f"{name}: is not there" for name in sorted(must - found)]
+    out += [f"{name}: the ledger knows nothing of it" for name in sorted(found - must - may)]
+    out += [f"{name}: is a link" for name in sorted(found) if (at / name).is_symlink()]
+    closed = stands.closed
+    for name, key in (("score.json", "results"), (PAGE, "page")):
+        if closed is not None and key in closed and (at / name).is_file() and file_hash(at / name) != closed[key]:
+            out.append(f"{name}: is not the one that the ledger closes with")
+    return out

@@ -16,19 +16,27 @@ CASES, SEED = 20, 7
 
 
 @pytest.fixture(scope="session")
-def concealed(tmp_path_factory):
-    """Recordings and truth; read it, never write into it."""
+def keys(tmp_path_factory):
+    """Who signs → key."""
+    folder = tmp_path_factory.mktemp("keys")
+    return {by: trial.key(folder / by) for by in ("concealer", "judge", "stranger")}
+
+
+@pytest.fixture(scope="session")
+def concealed(tmp_path_factory, keys):
+    """Recordings and truth, signed; read it, never write into it."""
     folder = tmp_path_factory.mktemp("trial") / "t"
-    trial.conceal(folder, CASES, seed=SEED, workers=0, make=fakes.make, certificate=fakes.certificate)
+    options = {"make": fakes.make, "certificate": fakes.certificate, "key": keys["concealer"].path}
+    trial.conceal(folder, CASES, seed=SEED, workers=0, **options)
     return folder
 
 
 @pytest.fixture(scope="session")
-def opened(concealed, tmp_path_factory):
-    """Judged and opened; read it, never write into it."""
+def opened(concealed, keys, tmp_path_factory):
+    """Judged, signed and opened; read it, never write into it."""
     folder = tmp_path_factory.mktemp("trial") / "t"
     shutil.copytree(concealed, folder)
-    trial.judge(folder / "recordings", folder / "verdicts", workers=0, diagnose=fakes.diagnose)
+    trial.judge(folder / "recordings", folder / "verdicts", workers=0, diagnose=fakes.diagnose, key=keys["judge"].path)
     trial.open(folder)
     return folder
 

@@ -84,7 +84,7 @@ def wait(ready, seconds=120.0):
 
 
 @pytest.mark.parametrize("where", ["here", "scheduler"])
-def test_a_worker_killed_on_the_way_gives_the_same_ledger(where, request, concealed, opened, tmp_path):
+def test_a_worker_killed_on_the_way_gives_the_same_ledger(where, request, concealed, opened, keys, tmp_path):
     on = {"workers": 2} if where == "here" else {"scheduler": request.getfixturevalue("dask_of_tls")}
     marks = tmp_path / "marks"
     marks.mkdir()
@@ -101,7 +101,7 @@ def test_a_worker_killed_on_the_way_gives_the_same_ledger(where, request, concea
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
     judge = partial(fakes.diagnose, seconds=0.25, marks=str(marks))
-    trial.judge(concealed / "recordings", tmp_path / "verdicts", **on, diagnose=judge)
+    trial.judge(concealed / "recordings", tmp_path / "verdicts", **on, diagnose=judge, key=keys["judge"].path)
     killer.join()
     assert len(list(marks.iterdir())) > 20  # what it was at was begun again
     assert (tmp_path / "verdicts" / ledger.NAME).read_bytes() == (opened / "verdicts" / ledger.NAME).read_bytes()

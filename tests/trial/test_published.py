@@ -32,14 +32,15 @@ def kept():
 
 
 def test_the_kept_trial_verifies_without_its_recordings(kept):
-    trial.verify(kept, recordings=False)
+    found = trial.verify(kept, recordings=False, page=False)
+    assert found.stage == "opened and scored" and "concealer: unsigned\njudge: unsigned" in found.summary()
 
 
 def test_one_changed_byte_of_a_kept_verdict_is_seen(kept):
     verdict = next((kept / "verdicts").rglob("diagnosis.json"))
     verdict.write_text(verdict.read_text(encoding="utf-8").replace("0.", "1.", 1), encoding="utf-8")
-    with pytest.raises(BenchsimError):
-        trial.verify(kept, recordings=False)
+    with pytest.raises(BenchsimError, match=r"diagnosis.json: was changed"):
+        trial.verify(kept, recordings=False, page=False)
 
 
 def test_the_readme_shows_the_score_that_is_kept(kept):
