@@ -79,6 +79,8 @@ def open(folder: Path | str, *, progress: Progress = silent) -> OpenResult:
     complain(checked(trial, opened=True))
     if path.exists() and ledger.standing(ledger.read(path)).closed is not None:
         whole = load_json(at / "score.json")
+        if not (at / "report.html").exists():
+            report(at)
         return OpenResult(at, whole, ledger.standing(ledger.read(path)).head)
     progress("scoring", 0.1)
     truths = truths_of(trial)
