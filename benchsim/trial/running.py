@@ -11,7 +11,7 @@ from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import processes
 from benchsim.trial import ledger
 from benchsim.trial.concealing import conceal
-from benchsim.trial.judging import judge
+from benchsim.trial.judging import Diagnose, judge
 from benchsim.trial.opening import OpenResult, open
 from benchsim.trial.verifying import verify
 
@@ -19,21 +19,29 @@ Judge = Callable[[Path, Path, Scheduler | None, int | None], None]
 """judge(recordings, verdicts, scheduler, workers)."""
 
 
-def apart(recordings: Path, verdicts: Path, scheduler: Scheduler | None, workers: int | None) -> None:
+def apart(
+    recordings: Path,
+    verdicts: Path,
+    scheduler: Scheduler | None,
+    workers: int | None,
+    diagnose: Diagnose | None = None,
+) -> None:
     """Judge in a process of its own that is told two folders, of recordings and for verdicts, and nothing else.
 
     It ends with this one, however this one does.
     """
     with processes(1) as own:
-        [(_, ended)] = own.each(_judge, [[(recordings, verdicts, scheduler, workers)]])
+        [(_, ended)] = own.each(_judge, [[(recordings, verdicts, scheduler, workers, diagnose)]])
     if isinstance(ended, BenchsimError):
         raise ended
     if isinstance(ended, Exception):
         raise BenchsimError(f"the judge ended with {type(ended).__name__}: {ended}; run the command again to go on")
 
 
-def _judge(recordings: Path, verdicts: Path, scheduler: Scheduler | None, workers: int | None) -> None:
-    judge(recordings, verdicts, scheduler=scheduler, workers=workers)
+def _judge(
+    recordings: Path, verdicts: Path, scheduler: Scheduler | None, workers: int | None, diagnose: Diagnose | None
+) -> None:
+    judge(recordings, verdicts, scheduler=scheduler, workers=workers, diagnose=diagnose)
 
 
 def run(
