@@ -98,7 +98,7 @@ def read(path: Path) -> list[Line]:
             line = json.loads(raw)
             body = {k: v for k, v in line.items() if k != "hash"}
             same = canonical(line) == raw and line["hash"] == digest(canonical(body))
-        except (ValueError, AttributeError, KeyError, TypeError):
+        except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
             same = False
         if not same:
             raise BenchsimError(f"{where}: was changed after it was written")
@@ -119,9 +119,11 @@ def standing(lines: list[Line], name: str = NAME) -> Standing:
     BenchsimError
         Names the first line that cannot stand where it does.
     """
-    if not lines or lines[0].get("kind") != "trial":
+    count = lines[0].get("cases") if lines and lines[0].get("kind") == "trial" else None
+    # It was written with a line for each case.
+    if type(count) is not int or not 0 < count < len(lines):
         raise BenchsimError(f"{name}: line 1: is not the first line of a trial")
-    cases = cases_of(int(lines[0]["cases"]))
+    cases = cases_of(count)
     concealed: dict[str, Line] = {}
     judged: dict[str, tuple[Line, ...]] = {}
     opened: dict[str, Line] = {}
@@ -143,7 +145,7 @@ def standing(lines: list[Line], name: str = NAME) -> Standing:
             fits = sealed and not committed and len(judged) < len(cases) and case == cases[len(judged)]
             judged[str(case)] = (line,)
         elif fits and kind == "judged":
-            fits = committed and not opened and case in judged and line["run"] == len(judged[str(case)]) + 1
+            fits = committed and not opened and str(case) in judged and line["run"] == len(judged[str(case)]) + 1
             judged[str(case)] = (*judged.get(str(case), ()), line)
         elif fits and kind == "committed":
             fits = not committed and len(judged) == len(cases)

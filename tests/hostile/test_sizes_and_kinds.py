@@ -130,15 +130,8 @@ def test_templates_of_marks_are_read_alike(tmp_path):
         read_templates(tmp_path, "sta", ("left_top", "right_top", "left_bottom", "right_bottom"))
 
 
-EXPOSURE = """
-[[exposure]]
-image = "{}.png"
-camera = "A"
-setting = "s"
-laser_azimuth_deg = 101.0
-laser_elevation_deg = 50.0
-mirror_position_mm = [1500.0, -160.0, -1430.0]
-"""
+MINIMAL = (Path(__file__).parent / "corpus" / "recording" / "recording.toml").read_text()
+EXPOSURE = MINIMAL[MINIMAL.index("[[exposure]]") :].replace("001.png", "{}.png")
 
 TOMLS = {
     "exposures": ("MiB", "".join(EXPOSURE.format(k) for k in range(100_000))),
