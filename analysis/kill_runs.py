@@ -113,11 +113,11 @@ def _of(process: psutil.Process, place: Path) -> bool:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Relative name → body of every file, without times."""
+    """Relative name → body of every file, without times and where it lies."""
+    found = {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
     return {
-        str(p.relative_to(folder)): TIMES.sub(b"", p.read_bytes()) if p.suffix in (".json", ".html") else p.read_bytes()
-        for p in sorted(folder.rglob("*"))
-        if p.is_file()
+        name: TIMES.sub(b"", body.replace(bytes(folder), b"")) if name.endswith((".json", ".html", ".txt")) else body
+        for name, body in found.items()
     }
 
 

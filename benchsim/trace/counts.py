@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.reading import MOST_PIXELS, read_file
+from benchsim.bench.reading import MOST_PIXELS, RAISE, read_file
+
+# At twice that Pillow refuses even to look.
+Image.MAX_IMAGE_PIXELS = max(Image.MAX_IMAGE_PIXELS or 0, MOST_PIXELS)
 
 _SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
 _HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1", b"avif")
@@ -95,5 +98,6 @@ def _check_pixels(name: str, data: bytes) -> None:
         raise BenchsimError(f"{name}: truncated or damaged; copy the image again") from None
     if pixels > MOST_PIXELS:
         raise BenchsimError(
-            f"{name}: more than {MOST_PIXELS / 1e6:.0f} million pixels, which is the most; give a smaller picture"
+            f"{name}: more than {MOST_PIXELS / 1e6:.0f} million pixels, which is the most; give a smaller picture, or "
+            f"raise all limits with {RAISE}"
         )
