@@ -12,7 +12,8 @@ from scipy.ndimage import map_coordinates, median_filter
 from benchsim.trace.line import Line
 
 LIMIT = 0.5
-"""Score below which it is none."""
+"""Score below which it is none. Of 28 pictures without a line (640 x 480) half could be traced and none scored above
+0.39; seven rendered photographs scored 0.70 to 0.79, the marks interrupting them, and 16 arcs 0.88 to 0.96."""
 
 CLUTTER = 5.0
 """Contrast that counts half."""
