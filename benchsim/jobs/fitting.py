@@ -191,7 +191,7 @@ def _fit_pixels(path: Path, folder: Path) -> PixelFit:
         raise BenchsimError(f"{path}: no such image; check the path")
     with output_folder(folder, "fit", [path], {"pixels": True}) as staging:
         t = trace.extract_pixels(path)
-        if t.likeness.score < likeness.LIMIT:
+        if not t.likeness.score >= likeness.LIMIT:
             raise BenchsimError(
                 f"{path.name}: what stands out most does not look like a laser's line, {t.likeness.words()}; give a "
                 "picture in which the line is the brightest, or a recording with its marks and dark picture"
