@@ -51,7 +51,7 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amended_file, displacement, observables
 from benchsim.instruments.bench import problem as bench_problem
-from benchsim.jobs.cluster import MEMORY_KEPT
+from benchsim.jobs.workers import MEMORY_KEPT
 from benchsim.trial.hashing import code
 
 ROWS = (

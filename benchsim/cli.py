@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -64,9 +65,9 @@ def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
             raise
         typer.echo(f"benchsim: {str(error.filename)[:60]}…: longer than names of files may be; shorten it", err=True)
         raise typer.Exit(1) from None
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         typer.echo("benchsim: stopped; nothing is left half-written", err=True)
-        raise typer.Exit(130) from None
+        raise typer.Exit(128 + (*stop.args, signal.SIGINT)[0]) from None
     if as_json:
         import json
 
@@ -571,8 +572,17 @@ def check(
         raise typer.Exit(1)
 
 
+def _stop(number: int, _: Any) -> NoReturn:
+    """End as for Ctrl-C: staging folders are removed and processes ended on the way."""
+    raise KeyboardInterrupt(number)
+
+
 def main() -> None:
     """Entry point of the console script."""
+    # A shell may have said that its end is to be outlived.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _stop)
     try:
         app()
     except OSError as error:

@@ -31,3 +31,18 @@ def script(monkeypatch):
         return module
 
     return load
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Which readers the hostile files reached; the tests may have run in other processes."""
+    rows = [
+        value
+        for reports in terminalreporter.stats.values()
+        for report in reports
+        for key, value in getattr(report, "user_properties", ())
+        if key == "hostile" and report.when == "call"
+    ]
+    if rows:
+        total = sum(accepted + refused for _, accepted, refused in rows)
+        said = ", ".join(f"{name} {accepted} + {refused}" for name, accepted, refused in sorted(rows))
+        terminalreporter.write_line(f"{total} hostile inputs by reader, accepted + refused: {said}")

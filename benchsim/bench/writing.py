@@ -6,7 +6,6 @@ import csv
 import io
 import math
 import os
-import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, get_args
@@ -18,19 +17,15 @@ from benchsim.bench.fields import FORMS
 from benchsim.bench.marks import MARKS_HEADER
 from benchsim.bench.model import Marks, Recording
 from benchsim.bench.names import cell
+from benchsim.bench.staging import permit, staged
 
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file under a temporary name, then move it into place, so that it is never half there."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-    try:
-        with os.fdopen(handle, "wb") as out:
-            out.write(data)
-        permit(Path(name), 0o666)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with staged(path, folder=False) as staging:
+        staging.write_bytes(data)
+        permit(staging, 0o666)
+        os.replace(staging, path)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -51,13 +46,6 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]], 
     table.writerow(header)
     table.writerows(map(shown, row) for row in rows)
     write_text(path, out.getvalue())
-
-
-def permit(path: Path, mode: int) -> None:
-    """Give a temporary file or folder, which only its owner may read, the mode that a new one would have."""
-    mask = os.umask(0)
-    os.umask(mask)
-    path.chmod(mode & ~mask)
 
 
 def write_marks(path: Path, marks: Marks) -> None:

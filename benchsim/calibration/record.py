@@ -141,11 +141,11 @@ def read_camera(path: Path) -> CameraRecord:
             f"{path.name}: {key}: {first['msg'].lower()}; make the file anew with 'benchsim calibrate'"
         ) from None
     name = next(iter(file.cameras))
-    covariance = np.array(file.calibration.covariance, float)
-    if file.calibration.parameters != list(LENS) or covariance.shape != (len(LENS), len(LENS)):
+    covariance = file.calibration.covariance
+    if file.calibration.parameters != list(LENS) or [len(row) for row in covariance] != [len(LENS)] * len(LENS):
         raise BenchsimError(
             f"{path.name}: calibration.covariance: not of the parameters {', '.join(LENS)}; make the file anew with "
             "'benchsim calibrate'"
         )
     focal, point, k1 = file.uncertainty.intrinsics_sigma
-    return CameraRecord(name, data["cameras"][name], (focal, point, k1), covariance)
+    return CameraRecord(name, data["cameras"][name], (focal, point, k1), np.array(covariance, float))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -323,11 +324,13 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
         pixels=[seen[b] for b in shown],
         progress=lambda what, done: progress(what, 0.82 + 0.17 * done),
     )
+    # The renderer's threads add light in the order in which they finish: further digits differ from run to run.
+    told = partial(round, ndigits=5)
     rows = [
-        {"exposure": x.name, "pixels": x.pixels, "before": x.before.z_std, "after": x.after.z_std}
+        {"exposure": x.name, "pixels": x.pixels, "before": told(x.before.z_std), "after": told(x.after.z_std)}
         for x in compared.exposures
     ]
-    pooled = {which: compared.pooled(which) for which in ("before", "after")}
+    pooled = {which: told(compared.pooled(which)) for which in ("before", "after")}
     plain = {"exposures": rows, "pooled": pooled, "lost": list(compared.lost)}
     write_text(folder / "pixels.json", json.dumps(plain, indent=1) + "\n")
     comparing.draw(

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +22,7 @@ from benchsim.bench.writing import write_csv, write_text
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.report import pictures
-from benchsim.trace.counts import read_counts
+from benchsim.trace import likeness
 
 Array = NDArray[np.float64]
 
@@ -112,6 +111,7 @@ class PixelFit:
         return {
             "format": "benchsim-conics/1",
             "unit": "px",
+            "likeness": self.trace.likeness.as_dict(),
             "conics": [{"exposure": self.trace.name, "ridge": 0, **renamed}],
         }
 
@@ -121,6 +121,7 @@ class PixelFit:
         return (
             f"{self.trace.name}: {len(self.trace.s_px)} profiles, each ±{np.median(self.trace.sigma_px):.3f} px; "
             f"curve known to ±{self.conic.curve_rms:.4f} px\n"
+            f"  looks like a line: {self.trace.likeness.words()}\n"
             f"  free conic in pixels: {known['kind'].value}, eccentricity {_interval(known['eccentricity'])}\n"
             f"  pixels are not a plane: without marks nothing is said in mm\nwritten: {self.folder}/"
         )
@@ -190,6 +191,11 @@ def _fit_pixels(path: Path, folder: Path) -> PixelFit:
         raise BenchsimError(f"{path}: no such image; check the path")
     with output_folder(folder, "fit", [path], {"pixels": True}) as staging:
         t = trace.extract_pixels(path)
+        if not t.likeness.score >= likeness.LIMIT:
+            raise BenchsimError(
+                f"{path.name}: what stands out most does not look like a laser's line, {t.likeness.words()}; give a "
+                "picture in which the line is the brightest, or a recording with its marks and dark picture"
+            )
         shared = t.shape_px[:, None, :] * t.normal[:, :, None]
         found = conics.fit(np.column_stack([t.u_px, t.v_px]), t.sigma_px * _swell(t.correlation), common=shared)
         result = PixelFit(t, found, folder)
@@ -197,12 +203,9 @@ def _fit_pixels(path: Path, folder: Path) -> PixelFit:
         columns = (t.s_px, t.u_px, t.v_px, t.sigma_px, t.width_px, t.flux, t.skewness, t.saturated)
         write_csv(staging / "trace.csv", header, ((0, *map(float, row)) for row in zip(*columns, strict=True)), 9)
         write_text(staging / "conics.json", json.dumps(result.as_dict(), indent=1) + "\n")
-        # Pixels as `trace.read_image` has them: of the sensor, not turned as EXIF says.
-        modes = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-        picture = np.asarray(read_counts(path, modes)[0], float)
         pictures.overlay(
             staging / f"overlay-{file_name(path.stem)}.png",
-            picture,
+            np.asarray(t.light, float),
             np.zeros((0, 4, 2)),
             found.points,
             None,

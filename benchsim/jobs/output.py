@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -20,7 +18,8 @@ from benchsim.bench.model import Recording
 from benchsim.bench.names import file_name, printable
 from benchsim.bench.paths import STAMP
 from benchsim.bench.reading import file_hash, load_json
-from benchsim.bench.writing import permit, write_text
+from benchsim.bench.staging import OLD, permit, staged, sweep
+from benchsim.bench.writing import write_text
 
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-image")
 
@@ -67,28 +66,26 @@ def output_folder(
         If the folder cannot be used.
     """
     target = target.absolute()
+    sweep(target)
     _refuse_unusable(target, command, inputs)
+    begun = ""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}-"))
-    except OSError as error:
-        raise BenchsimError(f"{target}: cannot be written ({error.strerror}); choose another folder with -o") from None
-    try:
-        stamp = _stamp(command, inputs, options or {}, defaults)
-        yield staging
-        (staging / STAMP).write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
-        permit(staging, 0o777)
-        _swap(staging, target)
+        with staged(target) as staging:
+            begun = str(staging)
+            stamp = _stamp(command, inputs, options or {}, defaults)
+            yield staging
+            (staging / STAMP).write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
+            permit(staging, 0o777)
+            _swap(staging, target)
     except OSError as error:
         # A full disk is told without a name.
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        if full or (error.filename and str(error.filename).startswith(str(staging))):
+        if full or not begun or (error.filename and str(error.filename).startswith(begun)):
             raise BenchsimError(
                 f"{target}: cannot be written ({error.strerror}); choose another folder with -o"
             ) from None
         raise
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
 
 
 def begun_folder(target: Path, command: str, *inputs: Path) -> None:
@@ -161,16 +158,10 @@ def _short(path: Path, folder: Path) -> str:
 
 
 def _swap(staging: Path, target: Path) -> None:
-    """Move the staging folder into place; an older folder is put aside first and removed last."""
+    """Move the staging folder into place; an older folder is put aside first, and removed or put back last."""
     if not target.exists():
         os.rename(staging, target)
         return
-    aside = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}-old-"))
-    os.rename(target, aside / "old")
-    try:
+    with staged(target) as aside:
+        os.rename(target, aside / OLD)
         os.rename(staging, target)
-    except OSError:
-        os.rename(aside / "old", target)
-        raise
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)

@@ -12,7 +12,6 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 from functools import lru_cache
 from pathlib import Path
 
@@ -21,6 +20,7 @@ import mitsuba as mi
 
 import benchsim
 from benchsim.bench.errors import BenchsimError
+from benchsim.bench.writing import write_text
 
 LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
 
@@ -135,9 +135,7 @@ def _complaint(name: str, fingerprint: str) -> str | None:
         return f"self-test ended with {done.returncode}" + (f", {told[-1].split('! ')[0][:200]}" if told else "")
     try:
         passed.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=passed.parent, delete=False) as out:
-            out.write(f"{name} works\n")
-        os.replace(out.name, passed)
+        write_text(passed, f"{name} works\n")
     except OSError:
         pass  # a cache that cannot be written costs a second each time
     return None

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.reading import MOST_PIXELS, read_file
+from benchsim.bench.reading import MOST_PIXELS, RAISE, read_file
+
+# At twice that Pillow refuses even to look.
+Image.MAX_IMAGE_PIXELS = max(Image.MAX_IMAGE_PIXELS or 0, MOST_PIXELS)
 
 _SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
 _HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1", b"avif")
@@ -55,11 +58,11 @@ def read_counts(path: Path, mode: int = cv2.IMREAD_UNCHANGED) -> tuple[NDArray, 
     if not data.startswith(_SIGNATURES):
         raise BenchsimError(f"{path.name}: not an image; give a PNG, TIFF or JPEG")
     lossy = data.startswith(b"\xff\xd8\xff")
-    _check_pixels(path.name, data)
     # Decoders differ in whether a truncated file is an error or a grey remainder; the end marks tell.
     whole = _ends(data) if lossy else (b"IEND" in data[-4096:]) if data[0] == 0x89 else True
     counts = None
     if whole:
+        _check_pixels(path.name, data)
         logging = cv2.utils.logging
         previous = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
         try:
@@ -74,11 +77,14 @@ def read_counts(path: Path, mode: int = cv2.IMREAD_UNCHANGED) -> tuple[NDArray, 
 
 
 def _ends(jpeg: bytes) -> bool:
-    """Whether the picture itself has its end mark: its thumbnail has one of its own, and phones append a short film."""
+    """Whether the picture itself has its end mark: its thumbnail has one of its own, and phones append a short film.
+
+    Marks must follow one another up to the picture: over what lies between, Pillow goes byte by byte.
+    """
     at = 2
     while at + 4 <= len(jpeg) and jpeg[at] == 0xFF and jpeg[at + 1] != 0xDA:
-        at += 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
-    return jpeg.find(b"\xff\xd9", at) >= 0
+        at += 1 if jpeg[at + 1] == 0xFF else 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
+    return jpeg[at : at + 2] == b"\xff\xda" and jpeg.find(b"\xff\xd9", at) >= 0
 
 
 def _check_pixels(name: str, data: bytes) -> None:
@@ -92,5 +98,6 @@ def _check_pixels(name: str, data: bytes) -> None:
         raise BenchsimError(f"{name}: truncated or damaged; copy the image again") from None
     if pixels > MOST_PIXELS:
         raise BenchsimError(
-            f"{name}: more than {MOST_PIXELS / 1e6:.0f} million pixels, which is the most; give a smaller picture"
+            f"{name}: more than {MOST_PIXELS / 1e6:.0f} million pixels, which is the most; give a smaller picture, or "
+            f"raise all limits with {RAISE}"
         )

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Exposure, Recording, Screen
 from benchsim.trace.counts import read_counts
-from benchsim.trace.image import Photograph, read_image
+from benchsim.trace.image import Photograph, photograph_of, read_image
+from benchsim.trace.likeness import Likeness, likeness
 from benchsim.trace.line import Line, measure_line
 from benchsim.trace.marks import board_corners, find_marks
 from benchsim.trace.motion import taken_back
@@ -174,7 +175,8 @@ class PixelTrace:
 
     ``s_px`` along it; ``u_px``, ``v_px`` centre; ``sigma_px`` 1 sigma across it of the trace noise alone; ``width_px``;
     ``flux`` [counts · px]; ``skewness``; ``saturated``; ``normal`` (n, 2) unit (u, v); ``shape_px`` (n, r) common
-    error, as `Trace.shape_mm`. ``scale``, ``correlation``: as in `RidgeNoise`, steps of one pixel.
+    error, as `Trace.shape_mm`. ``scale``, ``correlation``: as in `RidgeNoise`, steps of one pixel. ``likeness``: how
+    much it looks like a line; ``light`` (h, w): the picture in which it was found.
     """
 
     name: str
@@ -190,13 +192,16 @@ class PixelTrace:
     shape_px: Array
     scale: float
     correlation: Array
+    likeness: Likeness
+    light: NDArray
 
 
 def extract_pixels(image: str | Path, dark: str | Path | None = None) -> PixelTrace:
     """The brightest smooth ridge of a single picture, in its pixels: no board, no lens, light taken as linear.
 
     Without marks to avoid and without the pose, print is recognised only by being darker than its surroundings, and
-    what looks like a line brighter than the trace is taken for it; use a recording where there is one.
+    what looks like a line brighter than the trace is taken for it; use a recording where there is one. Whatever is
+    traced is returned: `Likeness` says how much it looks like a line.
 
     Parameters
     ----------
@@ -214,11 +219,11 @@ def extract_pixels(image: str | Path, dark: str | Path | None = None) -> PixelTr
         As `extract`.
     """
     path = Path(image)
-    raw, _ = read_counts(path)
+    raw, lossy = read_counts(path)
     bits = 16 if raw.dtype == np.uint16 else 8
     size = (raw.shape[1], raw.shape[0])
     camera = Camera("", size, float(max(size)), (0.0, 0.0), bit_depth=bits, saturation_level=float(2**bits - 1))
-    photograph = read_image(path, camera)
+    photograph = photograph_of(path.name, raw, lossy, camera)
     ground = None if dark is None else read_image(Path(dark), camera, dark=True, channel=photograph.channel)
     picture = _picture(photograph, ground, np.zeros(photograph.shape, np.uint8))
     line = _lines(photograph.name, picture, 1)[0][0]
@@ -236,6 +241,8 @@ def extract_pixels(image: str | Path, dark: str | Path | None = None) -> PixelTr
         line.shape_factor,
         line.noise.scale,
         line.noise.correlation,
+        likeness(picture.signal, line),
+        photograph.light,
     )
 
 

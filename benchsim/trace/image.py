@@ -117,24 +117,30 @@ def read_image(path: str | Path, camera: Camera, *, dark: bool = False, channel:
     EXIF orientation is not applied: pixels are those of the sensor, as the camera's calibration means them.
     """
     path = Path(path)
-    counts, lossy = read_counts(path)
-    _check_format(path.name, counts, camera)
+    return photograph_of(path.name, *read_counts(path), camera, dark=dark, channel=channel)
+
+
+def photograph_of(
+    name: str, counts: NDArray, lossy: bool, camera: Camera, *, dark: bool = False, channel: str | None = None
+) -> Photograph:
+    """`read_image` of counts that were read."""
+    _check_format(name, counts, camera)
     level = camera.saturation_level - (JPEG_COUNTS if lossy else 0.0)
     if counts.ndim == 2 or counts.shape[2] < 3:
         planes = {"mono": counts if counts.ndim == 2 else counts[..., 0]}
     else:
-        planes = {name: counts[..., i] for i, name in enumerate(_CHANNELS)}
+        planes = {c: counts[..., i] for i, c in enumerate(_CHANNELS)}
         if all(np.array_equal(planes["green"], planes[c]) for c in ("blue", "red")):
             planes = {"mono": planes["green"]}
-    light = {name: _linear(plane, camera) for name, plane in planes.items()}
-    saturated = {name: plane >= level for name, plane in planes.items()}
+    light = {c: _linear(plane, camera) for c, plane in planes.items()}
+    saturated = {c: plane >= level for c, plane in planes.items()}
     best, for_marks = _choose(light, saturated)
     if channel is not None and channel in light:
         best = channel
     if not dark:
-        _check_content(path.name, light[for_marks], light[best], saturated[for_marks])
+        _check_content(name, light[for_marks], light[best], saturated[for_marks])
     return Photograph(
-        name=path.name,
+        name=name,
         light=light[best],
         saturated=saturated[best],
         light_per_count=_light_per_count(planes[best], camera),

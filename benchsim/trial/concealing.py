@@ -12,6 +12,7 @@ from typing import Any
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.reading import load_json
+from benchsim.bench.staging import staged, sweep
 from benchsim.bench.writing import write_text
 from benchsim.jobs.cluster import Each, Scheduler, beside, cluster
 from benchsim.jobs.progress import Progress, silent
@@ -99,12 +100,13 @@ def conceal(
     private = None if key is None else anchors.read_key(key, [folder])
     plan = _planned(folder, cases, seed, shrink, zero)
     names = ledger.cases_of(cases)
+    rendered = truth / "rendered"
     if recordings.exists():
+        shutil.rmtree(rendered, ignore_errors=True)
         stands = ledger.standing(ledger.read(recordings / ledger.NAME))
         if private is not None:
             anchors.complain(stands, "concealer", anchors.public_of(private))
         return ConcealResult(folder, cases, stands.head)
-    rendered = truth / "rendered"
     rendered.mkdir(exist_ok=True)
     todo = [k for k, name in enumerate(names, 1) if not (truth / f"{name}.json").exists()]
     failed: list[str] = []
@@ -135,17 +137,20 @@ def _planned(folder: Path, cases: int, seed: int | None, shrink: int, zero: bool
         if (len(plan.kinds), plan.shrink, plan.zero, plan.seed) != asked:
             raise BenchsimError(f"{folder}: holds another trial; choose another folder with -o, or ask for the same")
         return plan
+    sweep(path.parent)
     if folder.exists() and any(folder.iterdir()):
         raise BenchsimError(f"{folder}: not empty and no trial that was begun; choose another folder with -o")
     if cases < 1:
         raise BenchsimError(f"--cases {cases}: give at least 1")
     plan = making.plan(cases, seed, shrink=shrink, zero=zero)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.parent.chmod(0o700)
+        folder.mkdir(parents=True, exist_ok=True)
+        # Its owner's alone, as every staging folder.
+        with staged(path.parent) as staging:
+            write_text(staging / path.name, canonical(plan.plain()).decode() + "\n")
+            os.rename(staging, path.parent)
     except OSError as error:
         raise BenchsimError(f"{folder}: cannot be written ({error.strerror}); choose another with -o") from None
-    write_text(path, canonical(plan.plain()).decode() + "\n")
     return plan
 
 

@@ -6,7 +6,6 @@ It is handed the folder of recordings and nothing else.
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,8 @@ from typing import Any
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read
-from benchsim.bench.writing import write_text
+from benchsim.bench.staging import sweep
+from benchsim.bench.writing import write_bytes, write_text
 from benchsim.jobs.cluster import Each, Scheduler, beside, cluster
 from benchsim.jobs.progress import Progress, silent
 from benchsim.trial import anchors, ledger
@@ -102,7 +102,7 @@ def judge(
             raise BenchsimError(f"{given / case}: is not what the ledger commits to; get the recordings anew")
     anchors.complain(stands, "concealer")
     path = folder / ledger.NAME
-    _take_up(folder, path, published)
+    _take_up(folder, path, given, published)
     names = list(stands.concealed)
     withheld = tuple(stands.trial["withheld"])
     todo = [name for name in names if not (folder / name).exists()]
@@ -113,10 +113,9 @@ def judge(
             progress(f"judged {len(names) - len(todo) + done} of {len(names)}", done / len(todo))
             if isinstance(result, BaseException):
                 # A worker that died of its case three times, say: that is how the judge did on it.
-                _failed(folder / todo[index], result)
+                with beside(folder / todo[index]) as staging:
+                    _failed(staging, result)
             _commit(folder, path, names)
-    for stray in folder.glob(".*-*"):
-        shutil.rmtree(stray, ignore_errors=True)
     lines = ledger.standing(ledger.read(path), str(path))
     if not lines.committed:
         ledger.append(path, [{"kind": "committed", "cases": len(names), "code": code()}])
@@ -132,8 +131,9 @@ def judge(
     return JudgeResult(folder, len(names), lines.twice, unusable, lines.head)
 
 
-def _take_up(folder: Path, path: Path, published: list[ledger.Line]) -> None:
+def _take_up(folder: Path, path: Path, given: Path, published: list[ledger.Line]) -> None:
     """Begin the judge's ledger with the concealer's lines, or make sure that it began with them."""
+    sweep(path)
     ledger.mend(path)
     if path.exists():
         if ledger.read(path)[: len(published)] != published:
@@ -145,7 +145,7 @@ def _take_up(folder: Path, path: Path, published: list[ledger.Line]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BenchsimError(f"{folder}: cannot be written ({error.strerror}); choose another with -o") from None
-    ledger.append(path, [{k: v for k, v in line.items() if k not in ("before", "hash")} for line in published])
+    write_bytes(path, (given / ledger.NAME).read_bytes())
 
 
 def _commit(folder: Path, path: Path, names: list[str]) -> None:
@@ -174,7 +174,8 @@ def _again(
     tasks = [(do, given / c, place, withheld) for c, _, place in places]
     for index, result in each(_one, tasks):
         if isinstance(result, BaseException):
-            _failed(places[index][2], result)
+            with beside(places[index][2]) as staging:
+                _failed(staging, result)
     for case, run, place in places:
         ledger.append(path, [{"kind": "judged", "case": case, "run": run, "files": files_of(place)}])
 
@@ -192,7 +193,6 @@ def _one(do: Diagnose, recording: Path, target: Path, withheld: tuple[str, ...])
 
 def _failed(folder: Path, error: BaseException) -> None:
     """Say in the place of a verdict why there is none."""
-    folder.mkdir(exist_ok=True)
     said = {"error": f"{type(error).__name__}: {error}", "where": list(getattr(error, "__notes__", []))}
     write_text(folder / "failed.json", canonical(said).decode() + "\n")
 

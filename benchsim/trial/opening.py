@@ -82,6 +82,8 @@ def open(folder: Path | str, *, workers: int | None = None, progress: Progress =
     with deriving.readable(at):
         if lines and ledger.standing(lines).closed is not None:
             complain(deriving.differing(Trial(at, ledger.standing(lines)), lines, page=False, workers=workers)[0])
+            if not (at / "report.html").exists():
+                report(at)
             return OpenResult(at, load_json(at / "score.json"), lines[-1]["hash"])
         kept_back = deriving.predictions(trial, workers, progress=lambda what, done: progress(what, 0.1 + 0.8 * done))
         partial = at / f".{ledger.NAME}"

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.jobs.cluster import Scheduler
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.workers import processes
 from benchsim.trial import ledger
 from benchsim.trial.concealing import conceal
+from benchsim.trial.judging import Diagnose, judge
 from benchsim.trial.opening import OpenResult, open
 from benchsim.trial.verifying import verify
 
@@ -20,16 +20,34 @@ Judge = Callable[[Path, Path, Scheduler | None, int | None, Path | None], None]
 
 
 def apart(
-    recordings: Path, verdicts: Path, scheduler: Scheduler | None, workers: int | None, key: Path | None = None
+    recordings: Path,
+    verdicts: Path,
+    scheduler: Scheduler | None,
+    workers: int | None,
+    key: Path | None = None,
+    diagnose: Diagnose | None = None,
 ) -> None:
-    """Judge in a process of its own that is told two folders, of recordings and for verdicts, and nothing else."""
-    command = [sys.executable, "-m", "benchsim", "trial", "judge", str(recordings), "-o", str(verdicts)]
-    command += scheduler.options() if scheduler else []
-    command += ["--workers", str(workers)] if workers is not None else []
-    command += ["--key", str(key)] if key is not None else []
-    done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
-    if done.returncode != 0:
-        raise BenchsimError(f"the judge ended with {done.returncode}; run the command again to go on")
+    """Judge in a process of its own that is told two folders, of recordings and for verdicts, and nothing else.
+
+    It ends with this one, however this one does.
+    """
+    with processes(1) as own:
+        [(_, ended)] = own.each(_judge, [[(recordings, verdicts, scheduler, workers, key, diagnose)]])
+    if isinstance(ended, BenchsimError):
+        raise ended
+    if isinstance(ended, Exception):
+        raise BenchsimError(f"the judge ended with {type(ended).__name__}: {ended}; run the command again to go on")
+
+
+def _judge(
+    recordings: Path,
+    verdicts: Path,
+    scheduler: Scheduler | None,
+    workers: int | None,
+    key: Path | None,
+    diagnose: Diagnose | None,
+) -> None:
+    judge(recordings, verdicts, scheduler=scheduler, workers=workers, key=key, diagnose=diagnose)
 
 
 def run(
@@ -69,6 +87,7 @@ def run(
     )  # fmt: skip
     progress("judging", 0.4)
     path = folder / "verdicts" / ledger.NAME
+    ledger.mend(path)
     if not (path.exists() and ledger.standing(ledger.read(path)).committed):
         judge(folder / "recordings", folder / "verdicts", scheduler, workers, key)
     progress("opening", 0.95)

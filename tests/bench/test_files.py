@@ -12,24 +12,8 @@ from benchsim.bench.files import read, write
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "bench-other-code"
 
-MINIMAL = """\
-format = "benchsim-recording/1"
-
-[cameras.A]
-resolution_px = [200, 150]
-focal_px = 210.0
-principal_point_px = [99.5, 74.5]
-
-[[exposure]]
-image = "001.png"
-camera = "A"
-setting = "s1"
-laser_azimuth_deg = 101.0
-laser_elevation_deg = 50.0
-mirror_position_mm = [1500.0, -160.0, -1430.0]
-"""
-
-MARKS = "id,y_mm,z_mm,side_mm\n0,-318.0,318.0,32.0\n1,318.0,318.0,32.0\n"
+CORPUS = Path(__file__).resolve().parents[1] / "hostile" / "corpus" / "recording"
+MINIMAL, MARKS = ((CORPUS / name).read_text() for name in ("recording.toml", "marks.csv"))
 
 
 @pytest.fixture

@@ -4,6 +4,8 @@ import json
 import os
 import resource
 import struct
+import subprocess
+import sys
 import time
 import zlib
 from pathlib import Path
@@ -42,10 +44,10 @@ READERS = {
 
 
 def sentence(reader, path):
-    start = time.monotonic()
+    start = time.process_time()  # what else the machine does is no fault of the reader
     with pytest.raises(BenchsimError) as caught:
         reader(path)
-    assert time.monotonic() - start < 2
+    assert time.process_time() - start < 2
     assert str(caught.value).isprintable() and path.name in str(caught.value)
     return str(caught.value)
 
@@ -130,15 +132,8 @@ def test_templates_of_marks_are_read_alike(tmp_path):
         read_templates(tmp_path, "sta", ("left_top", "right_top", "left_bottom", "right_bottom"))
 
 
-EXPOSURE = """
-[[exposure]]
-image = "{}.png"
-camera = "A"
-setting = "s"
-laser_azimuth_deg = 101.0
-laser_elevation_deg = 50.0
-mirror_position_mm = [1500.0, -160.0, -1430.0]
-"""
+MINIMAL = (Path(__file__).parent / "corpus" / "recording" / "recording.toml").read_text()
+EXPOSURE = MINIMAL[MINIMAL.index("[[exposure]]") :].replace("001.png", "{}.png")
 
 TOMLS = {
     "exposures": ("MiB", "".join(EXPOSURE.format(k) for k in range(100_000))),
@@ -196,3 +191,26 @@ def test_what_may_be_read_is_what_the_page_says():
     for number in (reading.TOML_BYTES, reading.TABLE_BYTES, reading.JSON_BYTES, reading.PICTURE_BYTES):
         assert f"{number // MIB} MiB" in said
     assert f"{schema.MOST_EXPOSURES} exposures" in said and f"{reading.MOST_PIXELS // 10**6} million" in said
+
+
+def test_a_variable_raises_the_limits(tmp_path):
+    (tmp_path / "p.png").write_bytes(png(8000, 8000))
+    (tmp_path / "001.png").write_bytes(b"not looked at here")
+    marks = (Path(__file__).parent / "corpus" / "recording" / "marks.csv").read_text()
+    (tmp_path / "marks.csv").write_text(marks)
+    (tmp_path / "recording.toml").write_text(MINIMAL + EXPOSURE.replace('image = "{}.png"', "") * 2500)
+    tries = (
+        "import sys\nfrom pathlib import Path\nfrom benchsim.bench.errors import BenchsimError\n"
+        "from benchsim.bench.files import read\nfrom benchsim.trace.counts import read_counts\n"
+        "for name, reader in (('recording.toml', read), ('p.png', read_counts)):\n"
+        "    try:\n        reader(Path(sys.argv[1]) / name)\n"
+        "    except BenchsimError as error:\n        print(error)\n"
+    )
+    said = {}
+    for factor in ("1", "2", "none"):
+        said[factor] = subprocess.run(
+            [sys.executable, "-c", tries, str(tmp_path)], env={**os.environ, reading.RAISE: factor},
+            stdout=subprocess.PIPE, text=True, check=True,
+        ).stdout  # fmt: skip
+    assert "2000" in said["1"] and "50 million" in said["1"] and said["none"] == said["1"]
+    assert said["2"] == "p.png: truncated or damaged; copy the image again\n"

@@ -18,39 +18,13 @@ from benchsim.bench.files import read
 from benchsim.cli import app
 from benchsim.jobs.field_diagnosis import heliostats
 
-BENCH = """
-format = "benchsim-recording/1"
-[screen]
-marks = "marks.csv"
-[cameras.A]
-resolution_px = [2000, 1500]
-focal_px = 2100.0
-principal_point_px = [999.5, 749.5]
-[[exposure]]
-image = "001.png"
-dark = "001-dark.png"
-camera = "A"
-setting = "s1"
-laser_azimuth_deg = 101.0
-laser_elevation_deg = 50.0
-mirror_position_mm = [1500.0, -160.0, -1430.0]
-"""
-
-PAGE = {
-    "format": "benchsim-page/1",
-    "title": "a page", "settings": 1, "states": {"before": "b", "after": "a"}, "catalogue": [],
-    "exposures": [{
-        "exposure": "001.png", "setting": "s1", "photograph": "photographs/1.jpg", "size_px": [2000, 1500],
-        "same": False, "s_mm": [1, 2], "sigma_mm": [1, 1], "sigma_alone_mm": [1, 1],
-        **{key: [[1, 1], [2, 2]] for key in ("measured_px", "before_px", "after_px")},
-        "residual_mm": {key: [1, 2] for key in ("before", "after", "held_out_before", "held_out_after")},
-    }],
-}  # fmt: skip
-
-VALIDATION = {
-    "format": "benchsim-validation/1", "exposures": [], "level": 0.01, "lost": [], "remarks": [], "defaults_used": [],
-    "conics": [],
-}  # fmt: skip
+CORPUS = Path(__file__).resolve().parents[1] / "hostile" / "corpus"
+BENCH = (CORPUS / "recording" / "recording.toml").read_text()
+for _before, _after in (
+    ("[cameras.A]", '[screen]\nmarks = "marks.csv"\n\n[cameras.A]'),
+    ('image = "001.png"', 'image = "001.png"\ndark = "001-dark.png"'),
+):
+    BENCH = BENCH.replace(_before, _after)
 
 
 @pytest.fixture
@@ -62,9 +36,8 @@ def sent(tmp_path):
     (folder / "marks.csv").write_text("id,y_mm,z_mm,side_mm\n0,0,318.0,32.0\n")
     for name in ("001.png", "001-dark.png", "photographs/1.jpg"):
         (folder / name).write_bytes(b"a picture")
-    (folder / "page.json").write_text(json.dumps(PAGE))
-    for name in ("validation.json", "conics.json"):
-        (folder / name).write_text(json.dumps(VALIDATION))
+    for name in ("page.json", "validation.json", "conics.json"):
+        shutil.copy(CORPUS / "validation" / name, folder)
     (folder / "list.csv").write_text("id,path,tower\nAA39,plant,tower.json\n")
     (folder / "plant").mkdir()
     (folder / "tower.json").write_text("{}")

@@ -22,7 +22,8 @@ from cryptography.x509.oid import NameOID
 
 from benchsim import trial
 from benchsim.bench.errors import BenchsimError
-from benchsim.jobs.cluster import MEMORY_KEPT, Scheduler, cluster
+from benchsim.jobs.cluster import Scheduler, cluster
+from benchsim.jobs.workers import MEMORY_KEPT
 from benchsim.trial import ledger
 
 HERE = Path(__file__).parent
