@@ -15,6 +15,7 @@ from benchsim.instruments.mount import misses, paint, stated
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Function, Learnt, Mount, Session
+from benchsim.instruments.mount.small_terms import SmallTerms
 
 CHANGE = 0.6
 """By which a heliostat's mount changes from one part of its records to the next, rms in each component [mrad of the
@@ -68,7 +69,13 @@ def as_stated(session: Session) -> Mount:
     return replace(bare, zero=mount_problem.zeros(bare, session.records))
 
 
-def learnt(built: Built, d: Diagnosis, put: Mapping[str, dict[str, float]], fields: Mapping[str, Function]) -> Learnt:
+def learnt(
+    built: Built,
+    d: Diagnosis,
+    put: Mapping[str, Mapping[str, float]],
+    fields: Mapping[str, Function],
+    small: SmallTerms,
+) -> Learnt:
     """What predictions rest on: errors of a record on a day that was not learnt, and the covariance of what was fitted.
 
     Measured are the residuals of the records that were used, about the mount as it is put in: by effects, functions and
@@ -87,19 +94,26 @@ def learnt(built: Built, d: Diagnosis, put: Mapping[str, dict[str, float]], fiel
     d : Diagnosis
     put, fields
         All effects and functions that the amended mount states.
+    small : SmallTerms
+        What it states besides.
     """
     problem, session = built.problem, built.session
     mount, sky = session.mount, session.mount.observes == "sky"
     own = tuple(p for e in problem.catalogue if e.name in put for p in e.parameters if not p.grid)
     known = (*(p for p in problem.nuisances if not p.name.startswith(DRIFT)), *own)
-    size = np.array([p.sigma for p in known])
-    slopes = linear.columns(problem, d.values, known) * size
+    narrow = {p.name: p.sigma for p in small.parameters}
+    size = np.array([narrow.get(p.name, p.sigma) for p in known])
+    more = {k: v for terms in small.values.values() for k, v in terms.items()}
+    at = {**d.values, **{k: d.values.get(k, 0.0) + v for k, v in more.items()}}
+    slopes = linear.columns(problem, at, known) * size
     zeros = None
     if sky:
         zeros = mount.zero + np.array([d.values.get(k, 0.0) for k in ("IA", "IE")]) * UNITS["arcsec"]
         mount = replace(mount, zero=zeros)
     n = len(session.records.names)
-    stated = mount_problem.predicted(replace(session, mount=mount, effects=dict(put), fields=fields), ())
+    stated = mount_problem.predicted(
+        replace(session, mount=mount, effects={n: dict(terms) for n, terms in put.items()}, fields=fields), ()
+    )
     rest = np.abs(stated.at([{}] * n, np.arange(n)))
     bulk = np.maximum(np.quantile(rest, misses.SIGMA, axis=0), mount_problem.faintest(session))
     common = mount_problem.shared(mount, session.records) * (d.setting_scale if sky else 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,11 +18,12 @@ from benchsim.bench.writing import write_text
 from benchsim.diagnosis.evidence import shapes
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
-from benchsim.instruments.mount import effects, functions, shared_causes, solar, stated, witnesses
+from benchsim.instruments.mount import effects, functions, shared_causes, small_terms, solar, stated, witnesses
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session
 from benchsim.instruments.mount.shared_causes import Shared
+from benchsim.instruments.mount.small_terms import SmallTerms
 from benchsim.jobs import amended_mounts
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
@@ -48,6 +49,11 @@ what heliostats and telescopes show."""
 NEXT = 5
 """Proposals for a next record that are told; the others are hardly worse than these, and far too many to read."""
 
+SMALL = (
+    "It states small values of all other terms too, and what was found as it is fitted beside them: none of them was "
+    "found, but records left out are predicted better with all of them together."
+)
+
 FEW = 8
 """Records below which it means little that nothing was found."""
 
@@ -64,7 +70,7 @@ class MountDiagnosis:
         The problem, and which records were set aside.
     diagnosis : Diagnosis
     found : mapping of str to mapping of str to float
-        Stated effects with what was found added, in the catalogue's units.
+        Stated effects with what was found and the small terms added, in the catalogue's units.
     fields : mapping of str to Function
         Stated functions with a law added.
     learnt : Learnt
@@ -79,6 +85,7 @@ class MountDiagnosis:
     fields: dict[str, Function]
     learnt: Learnt
     folder: Path
+    small: SmallTerms
 
     @cached_property
     def remarks(self) -> tuple[str, ...]:
@@ -118,6 +125,11 @@ class MountDiagnosis:
             since = f"from {self.changed_at}{day} on the mount is another"
             out.append(f"Changed at record {number}: {since}; diagnose both parts apart.")
         return tuple(out)
+
+    @property
+    def claimed(self) -> set[str]:
+        """Effects that were found; of a class its most probable member."""
+        return {*(f.name for f in self.diagnosis.effects), *chosen(self.diagnosis)}
 
     @property
     def changed_at(self) -> str:
@@ -169,12 +181,13 @@ class MountDiagnosis:
             "set_aside": list(self.built.aside),
             "lost": list(self.lost),
             "remarks": list(self.remarks),
+            "small_terms": {n: dict(terms) for n, terms in self.small.values.items() if n not in self.claimed},
             "defaults_used": [],
         }
 
     def text(self) -> str:
         """Plain sentences for ``summary.txt``."""
-        put = [n for n, terms in self.found.items() if terms != self.session.effects.get(n)]
+        put = [n for n in self.found if n in self.claimed]
         put += [] if self.diagnosis.law is None else [f"a function of {self.diagnosis.law.coordinate}"]
         names = ", ".join(put)
         return summary(
@@ -187,7 +200,12 @@ class MountDiagnosis:
                 catalogue=self.built.problem.catalogue,
                 lost=self.lost,
                 remarks=self.remarks,
-                amended=f"amended.toml states the mount with what was found: {names}." if put else "",
+                amended=" ".join(
+                    [
+                        *([f"amended.toml states the mount with what was found: {names}."] if put else []),
+                        *([SMALL] if self.small.parameters else []),
+                    ]
+                ),
                 words=vocabulary(self.session.mount.unit),
             ),
         )
@@ -287,9 +305,12 @@ def diagnose_session(
         found = _withdrawn(found, built.problem)
     found, doubted = witnesses.doubted(replace(found, next=found.next[:NEXT]))
     built = replace(built, remarks=(*built.remarks, *doubted))
-    put = amended(session, built, found)
-    fields = lawful(session, built, found)
-    return MountDiagnosis(session, built, found, put, fields, amended_mounts.learnt(built, found, put, fields), folder)
+    put, small, fields = amended(session, built, found), SmallTerms({}, ()), lawful(session, built, found)
+    if session.mount.observes == "spot" and found.verdict != "nothing-missing" and size <= WILD[unit]:
+        small = small_terms.small_terms(built.problem, found.values, put)
+        put = added(put, small.values)
+    learnt = amended_mounts.learnt(built, found, put, fields, small)
+    return MountDiagnosis(session, built, found, put, fields, learnt, folder, small)
 
 
 def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:
@@ -325,6 +346,18 @@ def amended(session: Session, built: Built, d: Diagnosis) -> dict[str, dict[str,
         if "change" in own:
             own["change"] = mount_problem.change_of(built.session.records, d.values["change"])
     return {n: terms for n, terms in out.items() if terms}
+
+
+def added(
+    stated: Mapping[str, Mapping[str, float]], more: Mapping[str, Mapping[str, float]]
+) -> dict[str, dict[str, float]]:
+    """Terms of effects with others added."""
+    out = {name: dict(terms) for name, terms in stated.items()}
+    for name, terms in more.items():
+        own = out.setdefault(name, {})
+        for term, value in terms.items():
+            own[term] = own.get(term, 0.0) + value
+    return out
 
 
 def lawful(session: Session, built: Built, d: Diagnosis) -> dict[str, Function]:
