@@ -218,7 +218,8 @@ def one(folder: Path, part: float, *, by_artist: bool) -> dict[str, Any]:
             "verdict": d.verdict,
             "effects": {f.name: f.confidence for f in d.effects},
             "classes": [[list(m) for m in c.members] for c in d.classes],
-            "put_in": result.found,
+            "put_in": {n: terms for n, terms in result.found.items() if n in result.claimed},
+            "small_terms": bool(result.small.parameters),
             "set_aside": len(result.built.aside),
             "cpu_s": spent,
             "stated": [2 * r.stated_mrad for r in foretold.records],
@@ -258,7 +259,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         lines.append(
             f"{r['heliostat']:9} {r['early']:5} {r['late']:4} {of['aside']:5} | {' ' * 7} {mid} | {' ' * 4} {rms} | "
             f"{100 * np.mean(inside):4.0f} % | {r['cpu_s']:4.0f} | "
-            f"{r['verdict']}: {', '.join(r['put_in']) or 'nothing'}"
+            f"{r['verdict']}: {', '.join(r['put_in']) or 'nothing'}{'; small terms' if r['small_terms'] else ''}"
         )
     for word in ("median", "rms"):
         of = every[word]
