@@ -37,10 +37,6 @@ if TYPE_CHECKING:
 MOST_LOCATED = 4
 """Photographs in which stretches are drawn: those of the most significant."""
 
-MOST_RENDERED = 2
-"""Exposures that are rendered again, without and with what was found; each takes some 8 s of CPU, so that all of six
-took two thirds of what the diagnosis itself does."""
-
 
 @dataclass(frozen=True)
 class DiagnosisResult:
@@ -281,11 +277,12 @@ def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progres
 
 
 def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = silent) -> tuple[str, ...]:
-    """Render the telling exposures again without and with what was found, and draw photograph less render.
+    """Render the most telling exposure again without and with what was found, and draw photograph less render.
 
-    Those are `_telling`. With what was found the most probable settings are the diagnosis' own, without it those of the
-    null; both as the unevenness of the light across the traces has them too. A law's field is rendered like any effect.
-    Writes ``pixels.png`` and ``pixels.json``; returns a sentence for every exposure that could not be compared.
+    All six of an example take two thirds of what the diagnosis itself does. With what was found the most probable
+    settings are the diagnosis' own, without it those of the null; both as the unevenness of the light across the traces
+    has them too. A law's field is rendered like any effect. Writes ``pixels.png`` and ``pixels.json``; returns a
+    sentence for every exposure that could not be compared.
     """
     from benchsim.instruments.bench.asymmetry import settled
     from benchsim.instruments.bench.fitted_simulation import probable, state
@@ -307,21 +304,22 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
         values = probable(lawful, problem.nuisances, values, setting_scale=d.setting_scale)
     blocks = range(len(problem.names))
     shown = _telling(problem, d)
-    seen = [pixels_of(result.recording, b.observed) if i in shown else None for i, b in enumerate(predict.blocks)]
+    view = pixels_of(result.recording, predict.blocks[shown].observed)
+    seen = [view if b == shown else None for b in blocks]
     each = settled(lawful, seen, [values for _ in blocks], d.setting_scale)
-    after = [state(amended, b, each[b]) for b in shown]
+    after = [state(amended, shown, each[shown])]
     before = after
     if d.law is not None or values.keys() & of_effects:
         null = probable(problem, problem.nuisances, bare, setting_scale=d.setting_scale)
         each = settled(problem, seen, [null for _ in blocks], d.setting_scale)
-        before = [state(predict, b, each[b]) for b in shown]
+        before = [state(predict, shown, each[shown])]
     backend.use(None)
     compared = comparing.compare(
         result.recording,
-        [predict.blocks[b].observed for b in shown],
+        [predict.blocks[shown].observed],
         before,
         after,
-        pixels=[seen[b] for b in shown],
+        pixels=[view],
         progress=lambda what, done: progress(what, 0.82 + 0.17 * done),
     )
     # The renderer's threads add light in the order in which they finish: further digits differ from run to run.
@@ -336,20 +334,19 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
     comparing.draw(
         compared,
         folder / "pixels.png",
-        f"{label(result.recording)}: {len(shown)} of {len(blocks)} photographs less their renders, settings fitted; "
+        f"{label(result.recording)}: a photograph less its render, settings fitted; "
         f"all pixels together {pooled['before']:.2f} → {pooled['after']:.2f} sigma",
     )
     return compared.lost
 
 
-def _telling(problem: Problem, d: Diagnosis) -> list[int]:
-    """The blocks of at most `MOST_RENDERED` exposures, each of its own setting, whose residuals changed the most."""
-    first = list({group: b for b, group in reversed(list(enumerate(problem.groups)))}.values())
-    if len(first) > MOST_RENDERED:
-        r = d.residuals
-        changed = ((r.before - r.after) / r.sigma) ** 2
-        first.sort(key=lambda b: (-float(changed[problem.rows(b)].sum()), b))
-    return sorted(first[:MOST_RENDERED])
+def _telling(problem: Problem, d: Diagnosis) -> int:
+    """The block of the exposure whose residuals changed the most."""
+    blocks = range(len(problem.names))
+    if len(blocks) == 1:
+        return 0
+    changed = ((d.residuals.before - d.residuals.after) / d.residuals.sigma) ** 2
+    return max(blocks, key=lambda b: float(changed[problem.rows(b)].sum()))
 
 
 def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: str) -> None:
