@@ -124,7 +124,8 @@ class FieldDiagnosis:
 
 def told(shared: Shared, heliostats: int) -> str:
     """A shared cause in a sentence."""
-    sizes = ", ".join(f"{k} = {v:.4g} ± {shared.sigma[k]:.2g} {shared.units[k]}" for k, v in shared.values.items())
+    units = {k: "" if unit == "1" else f" {unit}" for k, unit in shared.units.items()}
+    sizes = ", ".join(f"{k} = {v:.4g} ± {shared.sigma[k]:.2g}{units[k]}" for k, v in shared.values.items())
     return (
         f"{shared.cause.says} {sizes}; borne out by {shared.witnesses} of {heliostats} heliostats, probability "
         f"{'above 99.99' if shared.probability > 0.9999 else f'{100 * shared.probability:.2f}'} %."
