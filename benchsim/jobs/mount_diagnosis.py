@@ -50,8 +50,8 @@ NEXT = 5
 """Proposals for a next record that are told; the others are hardly worse than these, and far too many to read."""
 
 SMALL = (
-    "It states small values of all other terms too, and what was found as it is fitted beside them: none of them was "
-    "found, but records left out are predicted better with all of them together."
+    "It states small values of all other terms too, none of which was found, and what was found as it is fitted beside "
+    "them: records left out are predicted better so."
 )
 
 FEW = 8
