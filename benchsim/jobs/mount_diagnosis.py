@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ from benchsim.diagnosis.result import Diagnosis, chosen
 from benchsim.instruments.mount import effects, functions, shared_causes, small_terms, solar, stated, witnesses
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
-from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session
+from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session, added
 from benchsim.instruments.mount.shared_causes import Shared
 from benchsim.instruments.mount.small_terms import SmallTerms
 from benchsim.jobs import amended_mounts
@@ -346,18 +346,6 @@ def amended(session: Session, built: Built, d: Diagnosis) -> dict[str, dict[str,
         if "change" in own:
             own["change"] = mount_problem.change_of(built.session.records, d.values["change"])
     return {n: terms for n, terms in out.items() if terms}
-
-
-def added(
-    stated: Mapping[str, Mapping[str, float]], more: Mapping[str, Mapping[str, float]]
-) -> dict[str, dict[str, float]]:
-    """Terms of effects with others added."""
-    out = {name: dict(terms) for name, terms in stated.items()}
-    for name, terms in more.items():
-        own = out.setdefault(name, {})
-        for term, value in terms.items():
-            own[term] = own.get(term, 0.0) + value
-    return out
 
 
 def lawful(session: Session, built: Built, d: Diagnosis) -> dict[str, Function]:

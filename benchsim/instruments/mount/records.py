@@ -223,6 +223,18 @@ class Session:
     learnt: Learnt | None = None
 
 
+def added(
+    stated: Mapping[str, Mapping[str, float]], more: Mapping[str, Mapping[str, float]]
+) -> dict[str, dict[str, float]]:
+    """Stated errors, by effect and parameter, with others added."""
+    out = {name: dict(terms) for name, terms in stated.items()}
+    for name, terms in more.items():
+        own = out.setdefault(name, {})
+        for term, value in terms.items():
+            own[term] = own.get(term, 0.0) + value
+    return out
+
+
 def numbers(records: Records) -> Array | None:
     """The records' numbers, the first in each name ("star 7 (line 9)": 7), if all have one and they grow."""
     found = [re.search(r"\d+", n) for n in records.names]

@@ -36,7 +36,7 @@ from benchsim.diagnosis.evidence import amplitudes, log_prior, shapes
 from benchsim.diagnosis.problem import Parameter, Problem
 from benchsim.instruments.mount import effects
 from benchsim.instruments.mount import problem as mount_problem
-from benchsim.instruments.mount.records import Array, Mount, Records, Session
+from benchsim.instruments.mount.records import Array, Mount, Records, Session, added
 
 OWN = 0.05
 """Prior probability that a heliostat says nothing of the field: 3 in ln Z is the most that any one can say."""
@@ -402,9 +402,8 @@ class _Field:
 
 def applied(session: Session, shared: Sequence[Shared]) -> Session:
     """A session whose file states what its field shares."""
-    out = {name: dict(terms) for name, terms in session.effects.items()}
+    out = session.effects
     for cause in shared:
         for name, effect, term, factor in cause.cause.terms:
-            own = out.setdefault(effect, {})
-            own[term] = own.get(term, 0.0) + factor * cause.values[name]
+            out = added(out, {effect: {term: factor * cause.values[name]}})
     return replace(session, effects=out)
