@@ -334,9 +334,13 @@ class _Field:
             np.array([w.own for w in witnesses]),
         )
 
+    def sets(self, s: Array) -> Array:
+        """ln Z_i(s) of every heliostat's sets, (H, m)."""
+        return np.asarray(self.log_z + self.projection @ s - 0.5 * np.einsum("hmij,i,j->hm", self.gram, s, s))
+
     def each(self, s: Array) -> Array:
         """ln of every heliostat's factor of L(s), (H,)."""
-        z = self.log_z + self.projection @ s - 0.5 * np.einsum("hmij,i,j->hm", self.gram, s, s)
+        z = self.sets(s)
         both = np.concatenate([np.log1p(-OWN) + z, (np.log(OWN) + self.own)[:, None]], axis=1)
         return np.asarray(logsumexp(both, axis=1))
 
@@ -358,8 +362,9 @@ class _Field:
         """How many `bears` would count if the parameters are as large as that: ln of a heliostat's ratio of likelihoods
         is normal about half of q with variance q, where q is what its records show of them (χ² of their signal)."""
         only = np.where(np.isin(np.arange(len(at)), places), at, 0.0)
-        z = self.log_z + self.projection @ at - 0.5 * np.einsum("hmij,i,j->hm", self.gram, at, at)
-        q = np.maximum((softmax(z, axis=1) * np.einsum("hmij,i,j->hm", self.gram, only, only)).sum(axis=1), 1e-12)
+        q = np.maximum(
+            (softmax(self.sets(at), axis=1) * np.einsum("hmij,i,j->hm", self.gram, only, only)).sum(axis=1), 1e-12
+        )
         return float(norm.cdf((0.5 * q - HEARD) / np.sqrt(q)).sum())
 
     def peak(self, places: list[int]) -> tuple[float, Array, Array]:
@@ -370,9 +375,8 @@ class _Field:
             return float(some.each(np.zeros(0)).sum()), np.zeros(0), np.zeros(0)
 
         def slopes(s: Array) -> tuple[float, Array, Array]:
-            z = self.log_z + b @ s - 0.5 * np.einsum("hmij,i,j->hm", g, s, s)
             each = some.each(s)
-            weight = np.exp(np.log1p(-OWN) + z - each[:, None])
+            weight = np.exp(np.log1p(-OWN) + some.sets(s) - each[:, None])
             slope = b - g @ s
             mean = np.einsum("hm,hmi->hi", weight, slope)
             curved = np.einsum("hm,hmij->ij", weight, g) - np.einsum("hm,hmi,hmj->ij", weight, slope, slope)
