@@ -6,6 +6,7 @@ its own. What passed is remembered in the user's cache under the versions and th
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import importlib.metadata
 import os
@@ -90,6 +91,18 @@ def use(variant: str | None = None) -> str:
     if mi.variant() != name:
         mi.set_variant(name)
     return name
+
+
+def release() -> None:
+    """Give back to the system what is no longer used: Dr.Jit's arrays, and of the heap what numpy's left, where glibc can.
+
+    Of a diagnosis' 0.4 GB a quarter lies free on the heap when its pictures are rendered; a render takes 0.25.
+    """
+    dr.flush_malloc_cache()
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
 
 
 def _fingerprint(name: str) -> str:

@@ -148,6 +148,7 @@ def irradiance(
     s = sweep(recording, exposure, placement or place(recording.mirror, exposure), lenses)
     film = Film(recording.screen.size, pitch, *footprint(s), blur_reach(s))
     tracer = Tracer(s)
+    backend.release()
     rng = np.random.default_rng(seed)
     if rays is not None:
         per_replicate = max(1, -(-rays // REPLICATES))
@@ -171,7 +172,7 @@ def irradiance(
                 f"{exposure.name}: the light's noise is {error:.1e} after {per_replicate * REPLICATES:.0e} rays, not "
                 f"{target:.1e}; give a larger render.relative_error"
             )
-    dr.flush_malloc_cache()  # the rays' arrays, hundreds of megabytes, are of no use to the picture
+    backend.release()  # the rays' arrays, hundreds of megabytes, are of no use to the picture
     values = film.spread(mean)
     values *= s.measure / pitch**2
     return ScreenMap(values, film.y0, film.z0, pitch, error, per_replicate * REPLICATES)
