@@ -181,7 +181,12 @@ def _forward(
         return findings, fit, claim.lone, claim.classes
     instead = " + ".join(fit.effects) or "nothing"
     notes.append(f"{' + '.join(best.effects)} fits best; records left out are predicted better by {instead}.")
-    return findings, fit, fit.effects, () if fit.effects else (((), best.effects),)
+    if not fit.effects:
+        return findings, fit, (), (((), best.effects),)
+    at = degeneracy.about(naming.linear, fit)
+    signal = degeneracy.amplitude_vector(problem, naming.linear.names, fit)
+    claim = degeneracy.claim(best.hypotheses, fit.effects, signal, degeneracy.space(problem, at, fit.setting_scale))
+    return findings, fit, claim.lone, claim.classes
 
 
 def _predicted(problem: Problem, naming: Naming, many: tuple[Fold, ...], findings: Findings, best: Best) -> Findings:
@@ -239,11 +244,15 @@ def _removed(best: Best) -> float:
 def _besides(
     best: Best, lone: tuple[str, ...], opened: tuple[tuple[Effects, ...], ...]
 ) -> tuple[tuple[Effects, ...], ...]:
-    """Whether one more effect is there than what is stated, where that is more likely than not, but not `LIKELY`."""
+    """Whether one more effect is there than what is stated, or what the data cannot tell from it, where that is more
+    likely than not, but not `LIKELY`."""
     spoken = {*lone, settings.NAME} | {e for members in opened for m in members for e in m}
     others = best.hypotheses.present(e for e in best.space.index if e not in spoken)
     more = max(others, key=lambda e: others[e], default="")
-    return (((more,), ()),) if more and others[more] >= degeneracy.SUSPECTED else ()
+    if not more or others[more] < degeneracy.SUSPECTED:
+        return ()
+    group = next((g for g in best.claim.classes if (more,) in g), ((more,),)) if best.claim else ((more,),)
+    return ((*group[: degeneracy.MEMBERS - 1], ()),)
 
 
 def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...], ...]:

@@ -259,20 +259,21 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
     ----------
     hypotheses : Weighed
     best : Effects
-        Most probable set, not the null; all of its effects likely (`likely`).
+        Most probable set, not the null; all of its effects likely (`likely`). Or the one that predicts best: where it
+        was not weighed, it counts as no less probable than any other.
     signal : (k,)
         Its amplitudes.
     within : Space
         About its fit.
     """
     z = hypotheses.log_evidence
-    mine = frozenset(best)
+    mine, own = frozenset(best), z.get(best, max(z.values()))
     others = [h for h in z if h and not (mine <= set(h) or set(h) <= mine)]
     apart = {h: separation(within, signal, h) for h in others if (settings.NAME in h) == (settings.NAME in mine)}
     near = {h for h in others if h in apart and apart[h] < CLOSE}
-    near |= {h for h in others if h in hypotheses.refitted and z[best] - z[h] < COST}
+    near |= {h for h in others if h in hypotheses.refitted and own - z[h] < COST}
     if hypotheses.probability([best]) < LIKELY:
-        near |= {h for h in others if z[best] - z[h] < MISSING}
+        near |= {h for h in others if own - z[h] < MISSING}
     rivals = [h for h in near if not any(set(o) < set(h) and z[o] >= z[h] for o in near)]
     rivals.sort(key=lambda h: -z[h])
     nearest = min(apart.values(), default=float("inf"))

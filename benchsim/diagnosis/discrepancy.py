@@ -40,6 +40,10 @@ _ROUNDS = 3
 _STRAIGHT = 0.3
 _SMALLEST = 1e-4
 
+UNSTATED = (0.6, 0.36, 0.22)
+"""Parts of the noise that was estimated without a function to which the errors of one kind of datum, or of all, may
+fall beside it where nobody states them: a wave of a bearing four times as large as errors passes for errors."""
+
 
 @dataclass(frozen=True)
 class Attached:
@@ -84,8 +88,8 @@ class Prepared:
         Coefficients per unit of the amplitudes; L of the module, without directions that no data show.
     columns : tuple of (n, r)
         Data per unit of the amplitudes.
-    white, squares : tuple of (n, r), tuple of (r, r)
-        The columns whitened by one noise, 0 where data are left out, and their products with each other.
+    white, squares : tuple of (n, r), tuple of (K, r, r)
+        The columns whitened by one noise, 0 where data are left out, and their products with each other (`_products`).
     """
 
     attachment: Attachment
@@ -97,10 +101,10 @@ class Prepared:
 
 def prepare(problem: Problem, covariance: tuple[Array, ...]) -> tuple[Prepared, ...]:
     """All attachments of a problem, prepared once and whitened by the blocks' ``covariance``."""
-    return tuple(_prepare(a, whiten(problem, covariance, a.basis)[0]) for a in problem.attachments)
+    return tuple(_prepare(problem, a, whiten(problem, covariance, a.basis)[0]) for a in problem.attachments)
 
 
-def _prepare(attachment: Attachment, white: Array) -> Prepared:
+def _prepare(problem: Problem, attachment: Attachment, white: Array) -> Prepared:
     roots, columns, squares = [], [], []
     for length in attachment.lengths:
         root = kernel_root(attachment, length)
@@ -109,7 +113,7 @@ def _prepare(attachment: Attachment, white: Array) -> Prepared:
         shown = variance * attachment.sigma**2 > VISIBLE
         roots.append(root @ turn[:, shown])
         columns.append(seen @ turn[:, shown])
-        squares.append(np.diag(variance[shown]))
+        squares.append(_products(problem, columns[-1], columns[-1]))
     raw = tuple(attachment.basis @ r for r in roots)
     return Prepared(attachment, tuple(roots), raw, tuple(columns), tuple(squares))
 
@@ -131,7 +135,7 @@ def whitened(
     out = []
     for p in prepared:
         own = tuple(np.ascontiguousarray(next(parts)) for _ in p.columns)
-        out.append(replace(p, white=own, squares=tuple(w.T @ w for w in own)))
+        out.append(replace(p, white=own, squares=tuple(_products(problem, w, w) for w in own)))
     return tuple(out)
 
 
@@ -171,6 +175,22 @@ def with_columns(linear: Linear, columns: Array) -> Linear:
     return replace(linear, nuisance=np.column_stack([linear.nuisance, columns]), scaled=scaled)
 
 
+def _products(problem: Problem, one: Array, other: Array) -> Array:
+    """oneᵀ other, of every kind of datum by itself where nobody states the errors, (K, …)."""
+    if problem.stated:
+        return (one.T @ other)[None]
+    return np.stack([one[own].T @ other[own] for own in problem.kind == np.unique(problem.kind)[:, None]])
+
+
+def _parts(problem: Problem) -> Array:
+    """Parts of the noise that the errors of every kind may be, (c, K); those of the first row are all of it."""
+    if problem.stated:
+        return np.ones((1, 1))
+    kinds = len(np.unique(problem.kind))
+    which = np.unique(np.vstack([np.eye(kinds, dtype=bool), np.ones(kinds, bool)]), axis=0)
+    return np.vstack([np.ones(kinds), *(np.where(which, part, 1.0) for part in UNSTATED)])
+
+
 @dataclass(frozen=True)
 class _Ground:
     """A hypothesis that functions are laid on, with products that all of them share.
@@ -180,10 +200,11 @@ class _Ground:
     plain : Linear
     nuisance, residual : (n, p), (n,)
         Amplitudes among the nuisances; 0 where data are left out.
-    scale, known : (m,)
-        Every setting scale, and ln of its weight times the likelihood without a function.
-    root : (m, p, p)
-        W with Wᵀ W = (S⁻² + Nᵀ N)⁻¹ there.
+    scale, weight, known : (m,), (m, K), (m,)
+        Every setting scale with every noise (`_parts`, as the inverse square), and ln of their prior weight times the
+        likelihood without a function.
+    root, half : (m, p, p), (m, p)
+        W with Wᵀ W = (S⁻² + Nᵀ N)⁻¹ there, and W Nᵀ r.
     offset : float
         Turns ln Z of this scale into that of the fits.
     """
@@ -192,29 +213,38 @@ class _Ground:
     nuisance: Array
     residual: Array
     scale: Array
+    weight: Array
     known: Array
     root: Array
+    half: Array
     offset: float = 0.0
 
     @property
     def log_evidence(self) -> float:
-        return float(logsumexp(self.known)) + self.offset
+        """With the noise as it was estimated."""
+        whole = (self.weight == 1.0).all(axis=1)
+        return float(logsumexp(self.known[whole]) + np.log(len(whole) / whole.sum())) + self.offset
 
 
 def _ground(
     problem: Problem, naming: Naming, plain: Linear, keep: NDArray[np.bool_] | None = None, offset: float = 0.0
 ) -> _Ground:
-    base = absorb(problem, plain)
+    base, parts, scales = absorb(problem, plain), _parts(problem), naming.setting_scales
     use = np.ones(len(base.residual), bool) if keep is None else keep
     n_cols, r = base.nuisance * use[:, None], base.residual * use
-    s = np.where(base.scaled, naming.setting_scales[:, None], 1.0)
-    own = n_cols.T @ n_cols
-    lower: Array = np.stack([precision(n_cols, row, own)[0] for row in s])
+    scale, weight = np.repeat(scales, len(parts)), np.tile(parts**-2.0, (len(scales), 1))
+    s = np.where(base.scaled, scale[:, None], 1.0)
+    own, along, power = (
+        np.tensordot(weight, _products(problem, *two), 1) for two in ((n_cols, n_cols), (n_cols, r), (r, r))
+    )
+    lower: Array = np.stack([precision(n_cols, row, square)[0] for row, square in zip(s, own, strict=True)])
     root: Array = np.asarray(np.linalg.inv(lower), float)
     logdet = 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(s)).sum(axis=1)
-    chi2 = r @ r - ((root @ (n_cols.T @ r)) ** 2).sum(axis=1)
-    known = np.log(naming.scale_weights) - 0.5 * (chi2 + logdet)
-    return _Ground(plain, n_cols, r, naming.setting_scales, known, root, offset)
+    half = (root @ along[:, :, None])[:, :, 0]
+    number = _products(problem, use.astype(float), use.astype(float))
+    prior = np.log(np.repeat(naming.scale_weights, len(parts)) / len(parts))
+    known = prior - 0.5 * (power - (half**2).sum(axis=1) + logdet) + 0.5 * np.log(weight) @ number
+    return _Ground(plain, n_cols, r, scale, weight, known, root, half, offset)
 
 
 def weigh(
@@ -250,7 +280,7 @@ def weigh(
     ground = _ground(problem, naming, on.linear if linear is None else linear, keep)
     known = on.log_evidence if log_evidence is None else log_evidence
     ground = replace(ground, offset=known - ground.log_evidence + _prior(problem))
-    return tuple(sorted((_one(p, ground) for p in prepared), key=lambda a: -a.log_evidence))
+    return tuple(sorted((_one(problem, p, ground) for p in prepared), key=lambda a: -a.log_evidence))
 
 
 def refine(
@@ -289,11 +319,11 @@ def refine(
             break
         at = there
         plain = replace(laid.linear, residual=laid.linear.residual - bent)
-        laid = _one(own, _ground(problem, naming, plain, offset=offset))
+        laid = _one(problem, own, _ground(problem, naming, plain, offset=offset))
     if at is not on.values and laid.log_evidence >= worth:
         known = amplitudes(problem, laid.linear.names)
         plain = linearise(problem, at, known, naming.noise.covariance)
-        laid = _one(own, _ground(problem, naming, plain, offset=offset))
+        laid = _one(problem, own, _ground(problem, naming, plain, offset=offset))
     return checked(problem, naming, laid, white @ laid.coefficients, on)
 
 
@@ -361,20 +391,23 @@ def _prior(problem: Problem) -> float:
     return float(np.log(PRESENCE / (1 - PRESENCE) / max(1, len(problem.attachments))))
 
 
-def _one(prepared: Prepared, ground: _Ground) -> Attached:
+def _one(problem: Problem, prepared: Prepared, ground: _Ground) -> Attached:
     """One attachment on one hypothesis."""
     attachment = prepared.attachment
     rms = np.geomspace(attachment.sigma * _SMALLEST, attachment.sigma, _STEPS)
     # Uniform in the rms itself, on a grid that is even in its logarithm.
     log_prior = np.log(rms / rms.sum() / len(prepared.roots))
-    half = ground.root @ (ground.nuisance.T @ ground.residual)[:, None]
     grams: list[Array] = []
     projections: list[Array] = []
+
+    def seen(one: Array, other: Array) -> Array:
+        return np.asarray(np.tensordot(ground.weight, _products(problem, one, other), 1))
+
     for white, square in zip(prepared.white, prepared.squares, strict=True):
-        taken = ground.root @ (ground.nuisance.T @ white)
+        taken = ground.root @ seen(ground.nuisance, white)
         turned = np.swapaxes(taken, 1, 2)
-        grams.extend(square - turned @ taken)
-        projections.extend(white.T @ ground.residual - (turned @ half)[:, :, 0])
+        grams.extend(np.tensordot(ground.weight, square, 1) - turned @ taken)
+        projections.extend(seen(white, ground.residual) - (turned @ ground.half[:, :, None])[:, :, 0])
     known = np.tile(ground.known, len(prepared.roots))
     cells = known[:, None] + _gains(grams, projections, rms) + log_prior
     total = float(logsumexp(cells)) + ground.offset if any(r.shape[1] for r in prepared.roots) else -np.inf
@@ -383,7 +416,7 @@ def _one(prepared: Prepared, ground: _Ground) -> Attached:
     root = prepared.roots[of]
     mean = np.linalg.solve(np.eye(root.shape[1]) / rms[k] ** 2 + grams[i], projections[i])
     length, scale = attachment.lengths[of], float(ground.scale[j])
-    each = logsumexp(cells.reshape(len(prepared.roots), len(ground.scale), -1), axis=(0, 2))
+    each = logsumexp(cells.reshape(len(prepared.roots), len(np.unique(ground.scale)), -1), axis=(0, 2))
     return Attached(attachment, total, each, float(rms[k]), length, scale, root @ mean, root * rms[k], ground.plain)
 
 

@@ -94,7 +94,7 @@ def use(variant: str | None = None) -> str:
 
 
 def release() -> None:
-    """Give back to the system what is no longer used: Dr.Jit's arrays, and of the heap what numpy's left, where glibc can.
+    """Give back to the system what is no longer used: Dr.Jit's arrays and, where glibc is, what lies free on the heap.
 
     Of a diagnosis' 0.4 GB a quarter lies free on the heap when its pictures are rendered; a render takes 0.25.
     """

@@ -27,8 +27,15 @@ def test_the_kernel_falls_with_distance_and_not_across_components():
     assert got[0, 1] == pytest.approx(0, abs=1e-6)
 
 
-def test_evidence_is_the_dense_gaussian_integral():
-    problem = toy({"bow": 0.1}, 1, blocks=3)
+@pytest.mark.parametrize("stated", [True, False])
+def test_evidence_is_the_dense_gaussian_integral(stated):
+    """Where nobody stated the errors, those of one kind or of all may be smaller beside a function, at prior weights
+    whose sum is 1."""
+    problem = replace(toy({"bow": 0.1}, 1, blocks=3), stated=stated)
+    kinds = np.unique(problem.kind)
+    some = [kinds == k for k in kinds] + [kinds == kinds] * (len(kinds) > 1)
+    parts = [np.ones(len(kinds)), *(np.where(w, p, 1.0) for p in discrepancy.UNSTATED for w in some)]
+    parts = parts[:1] if stated else parts
     found = naming.name(problem)
     laid = discrepancy.weigh(problem, found, discrepancy.prepare(problem, found.noise.covariance))
     null, covariance = found.null, found.noise.covariance
@@ -39,13 +46,16 @@ def test_evidence_is_the_dense_gaussian_integral():
     plain, with_it = [], []
     for scale, w in zip(found.setting_scales, found.scale_weights, strict=True):
         n = null.linear.nuisance * np.where(null.linear.scaled, scale, 1.0)
-        m = np.eye(len(n)) + n @ n.T
-        plain.append(np.log(w) + multivariate_normal.logpdf(null.linear.residual, cov=m))
+        settings = n @ n.T
+        plain.append(np.log(w) + multivariate_normal.logpdf(null.linear.residual, cov=np.eye(len(n)) + settings))
         for length in got.attachment.lengths:
             r = white @ kernel_root(got.attachment, length, 1e-12)
             for a, v in zip(grid, weights, strict=True):
-                z = multivariate_normal.logpdf(null.linear.residual, cov=m + a**2 * r @ r.T)
-                with_it.append(np.log(w * v / len(got.attachment.lengths)) + z)
+                for part in parts:
+                    of_datum = part[np.searchsorted(kinds, problem.kind)]
+                    m = np.diag(of_datum**2) + settings + a**2 * r @ r.T
+                    z = multivariate_normal.logpdf(null.linear.residual, cov=m)
+                    with_it.append(np.log(w * v / len(got.attachment.lengths) / len(parts)) + z)
     gain = logsumexp(with_it) - logsumexp(plain)
     prior = np.log(PRESENCE / (1 - PRESENCE) / len(problem.attachments))
     assert got.log_evidence - null.log_evidence == pytest.approx(gain + prior, abs=0.01)

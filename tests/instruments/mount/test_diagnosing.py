@@ -23,13 +23,13 @@ real = pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the real recordings a
 ROWS = "a night\n" + "".join(f"{a} {e} {a}.1 {e}.1\n" for a, e in ((10, 40), (80, 50), (200, 60)))
 
 
-def night(seed, n=40, noise=0.6, bent=0.0, **errors):
+def night(seed, n=40, noise=0.6, bent=0.0, waves=2, **errors):
     """A telescope's stars under errors [arcsec], with noise [arcsec] and encoder zeros of half a degree; ``bent``
-    is the amplitude of an elevation error that goes with twice the azimuth, which no catalogue has."""
+    is the amplitude of an elevation error with so many waves around the azimuth, which no catalogue has."""
     rng = np.random.default_rng(seed)
     reading = np.column_stack([rng.uniform(0, 2 * np.pi, n), np.radians(rng.uniform(20, 80, n))])
     x = {k: np.full(n, v * ARCSEC) for k, v in {"IA": 1800.0, "IE": 12.0, **errors}.items()}
-    x["IE"] = x["IE"] + bent * ARCSEC * np.sin(2 * reading[:, 0])
+    x["IE"] = x["IE"] + bent * ARCSEC * np.sin(waves * reading[:, 0])
     star = axes.pointing(Mount("az-el", "sky"), reading, x)[0] + noise * ARCSEC * rng.standard_normal((n, 3))
     star /= np.linalg.norm(star, axis=1, keepdims=True)
     records = Records(tuple(f"star {k + 1}" for k in range(n)), reading, star, np.full((n, 3), np.nan), ("",) * n)
@@ -164,6 +164,14 @@ def test_a_law_goes_into_the_file_and_holds_of_other_stars(tmp_path):
         missed.append(np.sqrt(np.mean((lit.data - linear.predict_all(lit, {})) ** 2)))
     assert missed[0] > 4.0
     assert missed[1] < 0.5 * missed[0]
+
+
+def test_a_wave_does_not_pass_for_the_errors_of_records():
+    """Nobody states the errors of a record, and three waves around the azimuth of four times those errors look like
+    larger ones: beside a function of the azimuth they would be a quarter as large, and so it is located."""
+    found = diagnose_session(night(11, n=60, bent=3.4, waves=3)).diagnosis
+    assert found.verdict == "located"
+    assert found.location.element == "mount"
 
 
 def test_a_record_alone_cannot_be_judged():
