@@ -59,10 +59,12 @@ NARROW = (0.01, 0.03, 0.1, 0.3, 1.0)
 
 @dataclass(frozen=True)
 class Model:
-    """A set of effects, fitted to all data, and the loss of every datum where its stretch of time was left out."""
+    """A set of effects, fitted to all data, what it leaves of them, whitened, and the loss of every datum where its
+    stretch of time was left out."""
 
     effects: Effects
     values: Mapping[str, float]
+    residual: Array
     losses: Array
 
 
@@ -193,11 +195,11 @@ def _model(
     whole, sigma = fitted(problem, own, lower, start), np.array([p.sigma for p in own])
     at = np.array([whole[p.name] for p in own]) / sigma
     columns = linear.lowered(lower, linear.columns(problem, whole, tuple(own)) * sigma)
-    target = _white(problem, lower, [whole])[0] + columns @ at
+    residual = _white(problem, lower, [whole])[0]
     stretch = in_turn(problem)[problem.block]
-    without = [whole | _named(own, x * sigma) for x in _without(target, columns, own, stretch)]
+    without = [whole | _named(own, x * sigma) for x in _without(residual + columns @ at, columns, own, stretch)]
     each = loss(np.stack(_white(problem, lower, without)))
-    return Model(effects, whole, each[stretch, np.arange(len(stretch))])
+    return Model(effects, whole, residual, each[stretch, np.arange(len(stretch))])
 
 
 def _foretold(problem: Problem, lower: Sequence[Array], now: Model, own: Sequence[Parameter], columns: Array) -> float:
@@ -205,18 +207,15 @@ def _foretold(problem: Problem, lower: Sequence[Array], now: Model, own: Sequenc
     sigma = np.array([p.sigma for p in own])
     white = linear.lowered(lower, columns * sigma)
     at = np.array([now.values.get(p.name, 0.0) for p in own]) / sigma
-    target = _white(problem, lower, [now.values])[0] + white @ at
+    target = now.residual + white @ at
     stretch = in_turn(problem)[problem.block]
-    parts = [
-        loss(target[stretch == s] - white[stretch == s] @ x).sum()
-        for s, x in enumerate(_without(target, white, own, stretch))
-    ]
-    return float(sum(parts)) / len(target)
+    without = _without(target, white, own, stretch)
+    return float(loss(target - (white * without[stretch]).sum(axis=1)).mean())
 
 
-def _without(target: Array, columns: Array, own: Sequence[Parameter], stretch: NDArray[np.intp]) -> list[Array]:
+def _without(target: Array, columns: Array, own: Sequence[Parameter], stretch: NDArray[np.intp]) -> Array:
     """`_solved` without each stretch of time in turn."""
-    return [_solved(target[stretch != s], columns[stretch != s], own) for s in range(int(stretch.max()) + 1)]
+    return _solved(target, columns, own, np.arange(int(stretch.max()) + 1)[:, None] != stretch)
 
 
 def _shapes(naming: Naming, effect: Effect) -> dict[str, float] | None:
@@ -254,7 +253,7 @@ def fitted(
     now, white = total(x)
     for _ in range(ROUNDS):
         columns = linear.lowered(lower, linear.columns(problem, values(x), tuple(parameters)) * sigma)
-        step = _solved(white + columns @ x, columns, parameters) - x
+        step = _solved(white + columns @ x, columns, parameters, np.ones((1, len(white)), bool))[0] - x
         before = now
         for part in (1.0, 0.3, 0.1):
             tried, seen = total(x + part * step)
@@ -271,14 +270,15 @@ def _some(parameters: Sequence[Parameter]) -> NDArray[np.bool_]:
     return np.array([p.blocks is not None for p in parameters], bool)
 
 
-def _solved(target: Array, columns: Array, parameters: Sequence[Parameter]) -> Array:
-    """Where the sum is least, of residuals target − columns x."""
-    some, x, weight = _some(parameters), np.zeros(columns.shape[1]), np.ones(len(target))
+def _solved(target: Array, columns: Array, parameters: Sequence[Parameter], use: NDArray[np.bool_]) -> Array:
+    """Where the sum is least, of residuals target − columns x, for every choice of data (s, n); (s, k)."""
+    some, x, weight = _some(parameters), np.zeros((len(use), columns.shape[1])), use.astype(float)
     for _ in range(ROUNDS):
-        weighted = columns * weight[:, None]
+        weighted = columns.T * weight[:, None, :]
         prior = np.where(some, (1 + x**2) ** -0.5, 1.0)
-        before, x = x, np.linalg.solve(columns.T @ weighted + np.diag(prior), weighted.T @ target)
-        weight = (1 + (target - columns @ x) ** 2) ** -0.5
+        gram = weighted @ columns + prior[:, :, None] * np.eye(len(some))
+        before, x = x, np.linalg.solve(gram, (weighted @ target)[:, :, None])[:, :, 0]
+        weight = use * (1 + (target - x @ columns.T) ** 2) ** -0.5
         if np.abs(x - before).max(initial=0.0) < MOVED:
             break
     return x
@@ -297,7 +297,7 @@ def as_fit(problem: Problem, naming: Naming, model: Model) -> Fit:
     known[:, : len(problem.nuisances)] *= [n.sigma for n in problem.nuisances]
     lin = linear.linearise(problem, at, h.amplitudes, naming.noise.covariance, known)
     robust = linear.linearise(problem, at, h.amplitudes, problem.covariance, known)
-    white = _white(problem, linear.factors(problem.covariance), [at])[0]
+    white = model.residual
     weight = (1 + white**2) ** -0.75
     size = np.array([p.sigma for p in h.amplitudes])
     columns = np.column_stack([robust.nuisance, robust.effect * size]) * weight[:, None]

@@ -102,27 +102,28 @@ def aimed(mount: Mount, suns: Array, spots: Array, known: Array) -> Array:
     nan where a spot cannot be reached.
     """
     unit = np.maximum(np.ptp(known, axis=0), 1e-3 * np.maximum(np.abs(known).max(axis=0), 1.0))
-    out = np.full((len(suns), 2), np.nan)
+    out, steps = np.full((len(suns), 2), np.nan), SMALL * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     for start in (np.median(known, axis=0), *known[:: max(1, len(known) // 4)]):
         left = np.flatnonzero(np.isnan(out[:, 0]))
         if not len(left):
             break
-        sun, spot = suns[left], spots[left]
+        sun, spot = (np.tile(v[left], (len(steps), 1)) for v in (suns, spots))
 
         def off(x: Array, sun: Array = sun, spot: Array = spot) -> Array:
-            normal, centre = axes.pointing(mount, x * unit, {})
+            """1e3 times by how much the beam misses the spot at readings (T, 2), and beside them; (3, T, 3)."""
+            normal, centre = axes.pointing(mount, (x + steps[:, None]).reshape(-1, 2) * unit, {})
             goal = spot - centre
             found = 1e3 * (axes.reflected(normal, sun) - goal / np.linalg.norm(goal, axis=1, keepdims=True))
-            return np.where(np.isfinite(found), found, 1e3)
+            return np.where(np.isfinite(found), found, 1e3).reshape(len(steps), -1, 3)
 
         x = np.tile(start / unit, (len(left), 1))
         for _ in range(STEPS):
-            here = off(x)
-            slope = np.stack([(off(x + SMALL * e) - here) / SMALL for e in np.eye(2)], axis=-1)
+            here, *beside = off(x)
+            slope = np.stack([(there - here) / SMALL for there in beside], axis=-1)
             inner = np.einsum("tki,tkj->tij", slope, slope) + 1e-12 * np.eye(2)
             step = np.linalg.solve(inner, np.einsum("tki,tk->ti", slope, here)[..., None])[..., 0]
             x = x - np.clip(step, -LONGEST, LONGEST)
-        good = np.abs(off(x)).max(axis=1) < 1e-4
+        good = np.abs(off(x)[0]).max(axis=1) < 1e-4
         if mount.actuators:
             good &= (x >= 0).all(axis=1)
         out[left[good]] = x[good] * unit
