@@ -26,7 +26,8 @@ from scipy.linalg import cho_solve
 from benchsim.diagnosis import noise as noises
 from benchsim.diagnosis import screen
 from benchsim.diagnosis.degeneracy import estimate, space
-from benchsim.diagnosis.discrepancy import Attached, Prepared, kernel_root, prepare, smooth_functions, weigh, whitened
+from benchsim.diagnosis.discrepancy import Attached, weigh
+from benchsim.diagnosis.functions import Prepared, kernel_root, prepare, smooth_functions, whitened
 from benchsim.diagnosis.hypothesis import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, only, precision, raised, whiten
 from benchsim.diagnosis.problem import Problem

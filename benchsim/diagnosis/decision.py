@@ -20,6 +20,7 @@ from benchsim.diagnosis import (
 from benchsim.diagnosis.cross_validation import Fold
 from benchsim.diagnosis.degeneracy import Best, Weighed
 from benchsim.diagnosis.discrepancy import Attached
+from benchsim.diagnosis.functions import Prepared, prepare
 from benchsim.diagnosis.hypothesis import Effects, Fit, Naming
 from benchsim.diagnosis.linear import factors, nuisance_posterior, raised, whiten
 from benchsim.diagnosis.problem import Problem
@@ -51,7 +52,7 @@ class Judged:
     on: Fit
     best: Best
     findings: Findings
-    prepared: tuple[discrepancy.Prepared, ...]
+    prepared: tuple[Prepared, ...]
     folds: tuple[Fold, ...]
     notes: tuple[str, ...]
 
@@ -61,7 +62,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     notes: list[str] = []
     alone = degeneracy.weighed(naming, problem.stated)
     best = degeneracy.best(problem, naming, alone, notes)
-    prepared = discrepancy.prepare(problem, naming.noise.covariance)
+    prepared = prepare(problem, naming.noise.covariance)
     free = _weigh(problem, naming, prepared, naming.null, best.fit)
     more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
     gain = more[0].log_evidence - best.fit.log_evidence if more else 0.0
@@ -272,9 +273,7 @@ def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...]
     return (tuple(listed),) if suspects else ()
 
 
-def _beside(
-    problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], names: set[str], first: Fit
-) -> Naming:
+def _beside(problem: Problem, naming: Naming, prepared: tuple[Prepared, ...], names: set[str], first: Fit) -> Naming:
     """The hypotheses that were fitted, each with the evidence that it has with the best of some functions on it.
 
     Where something without a name is left, sets that are compared without it are told apart by how much of it they
@@ -321,7 +320,7 @@ def _beside(
 
 
 def _weigh(
-    problem: Problem, naming: Naming, prepared: tuple[discrepancy.Prepared, ...], on: Fit, best: Fit
+    problem: Problem, naming: Naming, prepared: tuple[Prepared, ...], on: Fit, best: Fit
 ) -> tuple[Attached, ...]:
     """All attachments on one hypothesis, those that could matter beside the best about their own nuisances."""
     rival = max(on.log_evidence, best.log_evidence)
@@ -344,7 +343,7 @@ def _weigh(
 def _apart(
     problem: Problem,
     naming: Naming,
-    prepared: tuple[discrepancy.Prepared, ...],
+    prepared: tuple[Prepared, ...],
     best: Best,
     more: tuple[Attached, ...],
 ) -> dict[str, float]:

@@ -21,19 +21,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpstrf, dsytrd
-from scipy.spatial.distance import cdist
+from scipy.linalg.lapack import dsytrd
 from scipy.special import logsumexp
 
 from benchsim.diagnosis.evidence import PRESENCE
+from benchsim.diagnosis.functions import Prepared, products
 from benchsim.diagnosis.hypothesis import Fit, Naming
 from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, precision, predict_all, value_of, whiten
 from benchsim.diagnosis.problem import Attachment, Parameter, Problem
 
 Array = NDArray[np.float64]
-
-VISIBLE = 1e-6
-"""Directions whose signal at the largest plausible rms has a variance below this, in that of the noise, are dropped."""
 
 _STEPS = 21
 _ROUNDS = 3
@@ -77,86 +74,6 @@ class Attached:
     linear: Linear
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """An attachment in what its kernels let the data see, for each length: standard normal amplitudes times the rms.
-
-    Attributes
-    ----------
-    attachment : Attachment
-    roots : tuple of (K, r)
-        Coefficients per unit of the amplitudes; L of the module, without directions that no data show.
-    columns : tuple of (n, r)
-        Data per unit of the amplitudes.
-    white, squares : tuple of (n, r), tuple of (K, r, r)
-        The columns whitened by one noise, 0 where data are left out, and their products with each other (`_products`).
-    """
-
-    attachment: Attachment
-    roots: tuple[Array, ...]
-    columns: tuple[Array, ...]
-    white: tuple[Array, ...]
-    squares: tuple[Array, ...]
-
-
-def prepare(problem: Problem, covariance: tuple[Array, ...]) -> tuple[Prepared, ...]:
-    """All attachments of a problem, prepared once and whitened by the blocks' ``covariance``."""
-    return tuple(_prepare(problem, a, whiten(problem, covariance, a.basis)[0]) for a in problem.attachments)
-
-
-def _prepare(problem: Problem, attachment: Attachment, white: Array) -> Prepared:
-    roots, columns, squares = [], [], []
-    for length in attachment.lengths:
-        root = kernel_root(attachment, length)
-        seen = white @ root
-        variance, turn = np.linalg.eigh(seen.T @ seen)
-        shown = variance * attachment.sigma**2 > VISIBLE
-        roots.append(root @ turn[:, shown])
-        columns.append(seen @ turn[:, shown])
-        squares.append(_products(problem, columns[-1], columns[-1]))
-    raw = tuple(attachment.basis @ r for r in roots)
-    return Prepared(attachment, tuple(roots), raw, tuple(columns), tuple(squares))
-
-
-def whitened(
-    problem: Problem,
-    prepared: tuple[Prepared, ...],
-    covariance: tuple[Array, ...],
-    keep: NDArray[np.bool_] | None = None,
-) -> tuple[Prepared, ...]:
-    """The same under another noise, for the data in ``keep`` (whole blocks; default all)."""
-    if not prepared:
-        return ()
-    columns = [c for p in prepared for c in p.columns]
-    white, _ = whiten(problem, covariance, np.column_stack(columns))
-    if keep is not None:
-        white[~keep] = 0.0
-    parts = iter(np.split(white, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1))
-    out = []
-    for p in prepared:
-        own = tuple(np.ascontiguousarray(next(parts)) for _ in p.columns)
-        out.append(replace(p, white=own, squares=tuple(_products(problem, w, w) for w in own)))
-    return tuple(out)
-
-
-def kernel_root(attachment: Attachment, length: float, tolerance: float = 1e-7) -> Array:
-    """L with L Lᵀ = R(ℓ), (K, m), columns from the smallest up; directions of variance below ``tolerance`` of the
-    largest are dropped."""
-    same = attachment.component[:, None] == attachment.component
-    kernel = np.exp(-0.5 * cdist(attachment.knots, attachment.knots, "sqeuclidean") / length**2) * same
-    # A smooth function of a thousand records has some dozens of directions, and this finds no others.
-    packed, pivot, rank, _ = dpstrf(kernel, tol=1e-3 * tolerance, lower=1)
-    factor = np.zeros((len(kernel), rank))
-    factor[pivot - 1] = np.tril(packed)[:, :rank]
-    values, turn = np.linalg.eigh(factor.T @ factor)
-    return np.asarray(factor @ turn[:, values > tolerance * values[-1]])
-
-
-def smooth_functions(problem: Problem) -> list[Array]:
-    """What every attachment's smoothest modes do to the data at its largest plausible rms, (n, 8) each or fewer."""
-    return [a.basis @ kernel_root(a, float(np.median(a.lengths)))[:, -8:] * a.sigma for a in problem.attachments]
-
-
 def amplitudes(problem: Problem, names: tuple[str, ...]) -> tuple[Parameter, ...]:
     """The catalogue's parameters of these names."""
     known = {p.name: p for e in problem.catalogue for p in e.parameters}
@@ -173,13 +90,6 @@ def with_columns(linear: Linear, columns: Array) -> Linear:
     """Whitened columns of unit prior variance added to the unscaled nuisances."""
     scaled = np.concatenate([linear.scaled, np.zeros(columns.shape[1], bool)])
     return replace(linear, nuisance=np.column_stack([linear.nuisance, columns]), scaled=scaled)
-
-
-def _products(problem: Problem, one: Array, other: Array) -> Array:
-    """oneᵀ other, of every kind of datum by itself where nobody states the errors, (K, …)."""
-    if problem.stated:
-        return (one.T @ other)[None]
-    return np.stack([one[own].T @ other[own] for own in problem.kind == np.unique(problem.kind)[:, None]])
 
 
 def _parts(problem: Problem) -> Array:
@@ -235,13 +145,13 @@ def _ground(
     scale, weight = np.repeat(scales, len(parts)), np.tile(parts**-2.0, (len(scales), 1))
     s = np.where(base.scaled, scale[:, None], 1.0)
     own, along, power = (
-        np.tensordot(weight, _products(problem, *two), 1) for two in ((n_cols, n_cols), (n_cols, r), (r, r))
+        np.tensordot(weight, products(problem, *two), 1) for two in ((n_cols, n_cols), (n_cols, r), (r, r))
     )
     lower: Array = np.stack([precision(n_cols, row, square)[0] for row, square in zip(s, own, strict=True)])
     root: Array = np.asarray(np.linalg.inv(lower), float)
     logdet = 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(s)).sum(axis=1)
     half = (root @ along[:, :, None])[:, :, 0]
-    number = _products(problem, use.astype(float), use.astype(float))
+    number = products(problem, use.astype(float), use.astype(float))
     prior = np.log(np.repeat(naming.scale_weights, len(parts)) / len(parts))
     known = prior - 0.5 * (power - (half**2).sum(axis=1) + logdet) + 0.5 * np.log(weight) @ number
     return _Ground(plain, n_cols, r, scale, weight, known, root, half, offset)
@@ -401,7 +311,7 @@ def _one(problem: Problem, prepared: Prepared, ground: _Ground) -> Attached:
     projections: list[Array] = []
 
     def seen(one: Array, other: Array) -> Array:
-        return np.asarray(np.tensordot(ground.weight, _products(problem, one, other), 1))
+        return np.asarray(np.tensordot(ground.weight, products(problem, one, other), 1))
 
     for white, square in zip(prepared.white, prepared.squares, strict=True):
         taken = ground.root @ seen(ground.nuisance, white)

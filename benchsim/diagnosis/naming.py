@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis import evidence, linear, noise, screen, settings
-from benchsim.diagnosis.discrepancy import smooth_functions
 from benchsim.diagnosis.explored import Begun, Search, begun, whole
 from benchsim.diagnosis.fitting import RENEWALS, Start, as_it_stands, fitted
+from benchsim.diagnosis.functions import smooth_functions
 from benchsim.diagnosis.hypothesis import Context, Effects, Fit, Hypothesis, Naming, Noise, Point, Solved
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.screen import Catalogue

@@ -7,7 +7,6 @@ to what it cannot describe, nothing else shows it.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -16,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchsim.diagnosis.cross_validation import Fold, best_scale, excess
-from benchsim.diagnosis.discrepancy import Attached, absorb, prepare, weigh, whitened
+from benchsim.diagnosis.discrepancy import Attached, absorb, weigh
+from benchsim.diagnosis.functions import prepare, whitened
 from benchsim.diagnosis.hypothesis import Fit, Naming
 from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, only, whiten
 from benchsim.diagnosis.problem import Attachment, Problem
@@ -220,15 +220,14 @@ def _named(base: Linear, own: Linear, keep: NDArray[np.bool_], scale: float, shi
 
 
 def printed(attachment: Attachment, terms: Sequence[Monomial], amplitudes: Array) -> dict[str, float]:
-    """Terms with the coordinates' own names where the coordinate tells them, per unit of the raw coordinates."""
+    """Terms by the names of the coordinate's directions and, of several components, of theirs; per unit of the raw
+    coordinates."""
     _, size = _scaled(attachment)
-    d = attachment.knots.shape[1]
-    words = re.findall(r"[A-Za-z]+", attachment.coordinate)
-    names = words[-d:] if len(words) >= d else [f"x{i + 1}" for i in range(d)]
-    several = len(np.unique(attachment.component)) > 1
     out = {}
     for term, a in zip(terms, amplitudes, strict=True):
-        factors = [n if k == 1 else f"{n}^{k}" for n, k in zip(names, term.powers, strict=True) if k]
+        factors = [n if k == 1 else f"{n}^{k}" for n, k in zip(attachment.axes, term.powers, strict=True) if k]
         key = " ".join(factors) or "1"
-        out[f"{key} [{term.component}]" if several else key] = float(a / np.prod(size ** np.array(term.powers)))
+        out[f"{key} [{attachment.parts[term.component]}]" if attachment.parts else key] = float(
+            a / np.prod(size ** np.array(term.powers))
+        )
     return out

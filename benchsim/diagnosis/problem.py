@@ -106,6 +106,8 @@ class Attachment:
         Length scales that the Gaussian process may have, in the coordinate.
     position : (n, d)
         The coordinate of every datum; nan where it has none.
+    axes, parts : tuple of str
+        What a law calls the d directions of the coordinate, and the components where there are several.
     """
 
     name: str
@@ -118,6 +120,8 @@ class Attachment:
     sigma: float
     lengths: tuple[float, ...]
     position: Array
+    axes: tuple[str, ...]
+    parts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
-from benchsim.diagnosis.discrepancy import Attached, absorb, smooth_functions, with_columns
+from benchsim.diagnosis.discrepancy import Attached, absorb, with_columns
+from benchsim.diagnosis.functions import smooth_functions
 from benchsim.diagnosis.hypothesis import Fit, Naming
 from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, raised, whiten
 from benchsim.diagnosis.problem import Problem

@@ -179,7 +179,7 @@ def _found(f: Found, words: Vocabulary) -> str:
 def _classes(d: Diagnosis, about: About) -> Iterator[str]:
     known = {e.name: e for e in about.catalogue}
     for c in d.classes:
-        lines = [f"One of these {len(c.members)}, {together(c.probability)}; the most probable first:"]
+        lines = [f"One of these {len(c.members)}, {together(c.probability)}; amended.toml states the first:"]
         for member in c.members:
             if not member:
                 lines.append("  - nothing else" if d.effects or len(d.classes) > 1 else "  - nothing")
@@ -249,12 +249,17 @@ def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
             form = f"a smooth function of {d.law.coordinate}"
         lines.append(
             _wrapped(
-                f"Until its cause is known, {form} stands in for it: of the misfit of settings that were left out it "
-                f"removes {100 * d.law.held_out_gain:.0f} ± {100 * d.law.gain_sigma:.0f} %.",
+                f"Until its cause is known, {form} stands in for it: of the misfit of {words.setting}s left out it "
+                f"removes {100 * min(d.law.held_out_gain, 1.0):.0f} ± {100 * d.law.gain_sigma:.0f} %.",
                 "  ",
             )
         )
     yield "\n".join(lines)
+
+
+def removed(part: float) -> str:
+    """A part of a misfit as words have it: noise can make it more than all."""
+    return "all" if part > 0.9995 else f"{100 * part:.1f} %"
 
 
 OVERSTATED = 3.0
@@ -295,7 +300,7 @@ def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     if after < -OVERSTATED * held.sigma:
         text += "; below zero by more than its scatter, so that the noise is overstated and no gain can be given."
     elif held.fraction_removed is not None and before > 2 * held.sigma:
-        text += f": {100 * held.fraction_removed:.1f} % of it is removed."
+        text += f": {removed(held.fraction_removed)} of it is removed."
     else:
         text += "; before, it was within its scatter, so that these recordings show no gain."
     yield _wrapped(text)

@@ -15,6 +15,7 @@ from benchsim.report.diagnosis_text import (
     odds,
     percent,
     place_text,
+    removed,
     rounded,
     several,
     shown_text,
@@ -56,7 +57,7 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
         "told": words,
         "says": says,
         "where": _where(d, words),
-        "law": _law(d),
+        "law": _law(d, words),
         "rms": [(*words.kinds.get(k, (k, "")), v["before"], v["after"]) for k, v in d["fit"]["rms"].items()],
         "left_out": _left_out(d, words),
         "settings": _settings(d, words),
@@ -81,15 +82,15 @@ def _where(d: Json, words: Vocabulary) -> str:
     return f"{text} {shown_text(w.get('by_kind', {}), words, len(w['along_trace']))}".rstrip()
 
 
-def _law(d: Json) -> str:
+def _law(d: Json, words: Vocabulary) -> str:
     law = d["law"]
     if law is None:
         return ""
     terms = ", ".join(f"{minus(f'{value:.3g}')} · {term}" for term, value in law["terms"].items())
     form = f"a law in {law['coordinate']} ({terms})" if terms else f"a smooth function of {law['coordinate']}"
     return (
-        f"Until its cause is known, {form} stands in for it: of the misfit of settings that were left out it removes "
-        f"{short(100 * law['held_out_gain'])} ± {short(100 * law['held_out_gain_sigma'])} %."
+        f"Until its cause is known, {form} stands in for it: of the misfit of {words.setting}s left out it removes "
+        f"{short(100 * min(law['held_out_gain'], 1.0))} ± {short(100 * law['held_out_gain_sigma'])} %."
     )
 
 
@@ -110,7 +111,7 @@ def _left_out(d: Json, words: Vocabulary) -> str:
     if after < -OVERSTATED * sigma:
         return text + "; below zero by more than its scatter: the noise is overstated, and no gain can be given."
     if h["fraction_removed"] is not None and before > 2 * sigma:
-        return text + f": {100 * h['fraction_removed']:.1f} % of it is removed."
+        return text + f": {removed(h['fraction_removed'])} of it is removed."
     return text + "; before, it was within its scatter, so that these recordings show no gain."
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from toy import toy
 
-from benchsim.diagnosis import cross_validation, degeneracy, diagnose, discrepancy, naming
+from benchsim.diagnosis import cross_validation, degeneracy, diagnose, functions, naming
 
 
 def prepared(problem):
@@ -15,7 +15,7 @@ def prepared(problem):
     return (
         found,
         cross_validation.folds(problem, found, degeneracy.about(found.linear, best)),
-        discrepancy.prepare(problem, found.noise.covariance),
+        functions.prepare(problem, found.noise.covariance),
     )
 
 

@@ -9,9 +9,9 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from toy import toy
 
-from benchsim.diagnosis import discrepancy, naming
-from benchsim.diagnosis.discrepancy import kernel_root
+from benchsim.diagnosis import discrepancy, functions, naming
 from benchsim.diagnosis.evidence import PRESENCE
+from benchsim.diagnosis.functions import kernel_root
 from benchsim.diagnosis.linear import nuisance_posterior, predict_all, whiten
 
 SNR_ONE = {"bow": 1 / 89.6, "lean": 1 / 58.2, "creep": 1 / 6.11}
@@ -37,7 +37,7 @@ def test_evidence_is_the_dense_gaussian_integral(stated):
     parts = [np.ones(len(kinds)), *(np.where(w, p, 1.0) for p in discrepancy.UNSTATED for w in some)]
     parts = parts[:1] if stated else parts
     found = naming.name(problem)
-    laid = discrepancy.weigh(problem, found, discrepancy.prepare(problem, found.noise.covariance))
+    laid = discrepancy.weigh(problem, found, functions.prepare(problem, found.noise.covariance))
     null, covariance = found.null, found.noise.covariance
     got = next(a for a in laid if a.attachment.name == "mirror.lean")
     white, _ = whiten(problem, covariance, got.attachment.basis)
@@ -66,7 +66,7 @@ def test_a_column_that_grew_beyond_reason_leaves_the_evidence_finite():
     """Near a caustic a derivative can be 1e9 sigma per prior sigma: the data then fix that nuisance, and no more."""
     problem = toy({"bow": 0.1}, 1, blocks=3)
     found = naming.name(problem)
-    prepared = discrepancy.prepare(problem, found.noise.covariance)
+    prepared = functions.prepare(problem, found.noise.covariance)
     wild = np.random.default_rng(5).standard_normal((len(problem.data), 1))
 
     def gains(*columns):
@@ -83,7 +83,7 @@ def contest(truth, seeds, **options):
     for seed in seeds:
         problem = toy(truth, seed, **options)
         found = naming.name(problem)
-        laid = discrepancy.weigh(problem, found, discrepancy.prepare(problem, found.noise.covariance))
+        laid = discrepancy.weigh(problem, found, functions.prepare(problem, found.noise.covariance))
         out.append(max(f.log_evidence for f in found.fits if f.converged) - laid[0].log_evidence)
     return np.array(out)
 
@@ -123,7 +123,7 @@ def test_a_function_is_weighed_about_its_own_nuisances():
     data = np.concatenate([model(at, b) for b in range(8)]) + noise
     problem = replace(problem, predict=model, data=data)
     found = naming.name(problem)
-    prepared = discrepancy.prepare(problem, found.noise.covariance)
+    prepared = functions.prepare(problem, found.noise.covariance)
     first = next(a for a in discrepancy.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
     again = discrepancy.refine(problem, found, prepared, first, found.null)
     wrong = []
@@ -147,7 +147,7 @@ def test_what_a_function_promises_and_the_prediction_does_not_keep_is_taken_off(
     to nothing. The exact prediction knows better, and the function loses by what is left."""
     problem = toy({"bow": 0.3}, 5, without=("bow",))
     found = naming.name(problem)
-    prepared = discrepancy.prepare(problem, found.noise.covariance)
+    prepared = functions.prepare(problem, found.noise.covariance)
     first = next(a for a in discrepancy.weigh(problem, found, prepared) if a.attachment.name == "screen.height")
     white, _ = whiten(problem, found.noise.covariance, first.attachment.basis)
     function = white @ first.coefficients

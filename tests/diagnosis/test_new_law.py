@@ -1,16 +1,18 @@
 """Laws: sparse where the truth is, free where it is not, and none where nothing is predicted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toy import toy
 
-from benchsim.diagnosis import cross_validation, discrepancy, naming, new_law
+from benchsim.diagnosis import cross_validation, discrepancy, functions, naming, new_law
 
 
 def law_of(truth, seed, attachment, **options):
     problem = toy(truth, seed, **options)
     found = naming.name(problem)
-    prepared = discrepancy.prepare(problem, found.noise.covariance)
+    prepared = functions.prepare(problem, found.noise.covariance)
     laid = next(a for a in discrepancy.weigh(problem, found, prepared) if a.attachment.name == attachment)
     many = cross_validation.folds(problem, found, found.linear)
     return new_law.law(problem, found, found.null, laid, many)
@@ -69,6 +71,7 @@ def test_fewer_than_three_settings_publish_nothing():
 def test_terms_carry_the_coordinates_names_and_units():
     a = toy().attachments[0]
     knots = np.array([[y, z] for y in (-200.0, 200.0) for z in (-100.0, 0.0, 100.0)])
-    two = type(a)(**{**vars(a), "coordinate": "board y, z", "knots": knots, "component": np.array([0, 0, 0, 1, 1, 1])})
+    two = type(a)(**{**vars(a), "knots": knots, "component": np.array([0, 0, 0, 1, 1, 1])})
+    two = replace(two, axes=("y", "z"), parts=("across", "up"))
     found = new_law.printed(two, [new_law.Monomial(0, (1, 2)), new_law.Monomial(1, (0, 0))], np.array([4.0, 1.0]))
-    assert found == {"y z^2 [0]": pytest.approx(4.0 / 200 / 100**2), "1 [1]": 1.0}
+    assert found == {"y z^2 [across]": pytest.approx(4.0 / 200 / 100**2), "1 [up]": 1.0}

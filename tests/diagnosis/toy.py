@@ -111,7 +111,7 @@ def attachments(angles: tuple[float, ...]) -> tuple[Attachment, ...]:
         lengths, zero = (0.15, 0.3, 0.6, 1.2), np.zeros(13, int)
         where = np.where(some, position, np.nan)[:, None]
         element, largest = name.split(".")[0], 2.0 if name == "time.shift" else 0.5
-        return Attachment(name, element, coordinate, "mm", basis, knots[:, None], zero, largest, lengths, where)
+        return Attachment(name, element, coordinate, "mm", basis, knots[:, None], zero, largest, lengths, where, ("x",))
 
     return (
         make("screen.height", "screen x", by_x, x),

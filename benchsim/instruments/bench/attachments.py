@@ -263,11 +263,15 @@ def _joined(
     sigma: float,
     lengths: tuple[float, ...],
     parts: Sequence[tuple[Array, Array]],
+    called: tuple[tuple[str, ...], tuple[str, ...]],
 ) -> Attachment:
+    """``called``: names of the coordinate's directions, and of the components where there are several."""
     knots, component = grid(axes, components)
     basis = np.concatenate([p[0] for p in parts])
     position = np.concatenate([p[1] for p in parts])
-    return Attachment(name, name.split(".")[0], coordinate, unit, basis, knots, component, sigma, lengths, position)
+    return Attachment(
+        name, name.split(".")[0], coordinate, unit, basis, knots, component, sigma, lengths, position, *called
+    )
 
 
 def _resolution(blocks: Sequence[Local]) -> tuple[int, int]:
@@ -287,7 +291,7 @@ def _pixel(blocks: Sequence[Local]) -> Attachment:
         for b in blocks
     ]
     lengths = (0.8 * spacing, 2 * spacing, 5 * spacing)
-    return _joined("camera.pixel", "place in the picture", "px", axes, 2, 3.0, lengths, parts)
+    return _joined("camera.pixel", "place in the picture", "px", axes, 2, 3.0, lengths, parts, (("u", "v"), ("u", "v")))
 
 
 def _row(blocks: Sequence[Local]) -> Attachment:
@@ -302,13 +306,15 @@ def _row(blocks: Sequence[Local]) -> Attachment:
         for b in blocks
     ]
     lengths = (height / 16, height / 8, height / 4)
-    return _joined("camera.row.pixel", "image row", "px", axes, 2, 3.0, lengths, parts)
+    return _joined("camera.row.pixel", "image row", "px", axes, 2, 3.0, lengths, parts, (("u", "v"), ("u", "v")))
 
 
 def _brightness(blocks: Sequence[Local]) -> Attachment:
     axes = (np.linspace(0, 1, 9),)
     parts = [(push(b, light=both(tents(axes, b.level))), along(b, b.level[:, None])) for b in blocks]
-    return _joined("camera.brightness", "brightness", "1", axes, 2, 1.0, (0.2, 0.5), parts)
+    return _joined(
+        "camera.brightness", "brightness", "1", axes, 2, 1.0, (0.2, 0.5), parts, (("brightness",), ("u", "v"))
+    )
 
 
 def _board_axes(blocks: Sequence[Local]) -> tuple[Array, Array]:
@@ -337,7 +343,7 @@ def _height(blocks: Sequence[Local]) -> Attachment:
                 along(b, b.board, b.corners_board),
             )
         )
-    return _joined("screen.height", "place on the board", "mm", axes, 1, 4.0, _BOARD_LENGTHS, parts)
+    return _joined("screen.height", "place on the board", "mm", axes, 1, 4.0, _BOARD_LENGTHS, parts, (("y", "z"), ()))
 
 
 def _shift(blocks: Sequence[Local]) -> Attachment:
@@ -346,7 +352,9 @@ def _shift(blocks: Sequence[Local]) -> Attachment:
     for b in blocks:
         moved = np.einsum("nij,nkj->nki", b.corners_by_board, both(tents(axes, *b.corners_board.T)))
         parts.append((push(b, corners=moved), along(b, b.board, b.corners_board)))
-    return _joined("screen.shift", "place on the board", "mm", axes, 2, 2.0, _BOARD_LENGTHS, parts)
+    return _joined(
+        "screen.shift", "place on the board", "mm", axes, 2, 2.0, _BOARD_LENGTHS, parts, (("y", "z"), ("y", "z"))
+    )
 
 
 def _differences(predict: Predict, names: Sequence[tuple[int, str]], step: float) -> list[Array]:
@@ -366,7 +374,9 @@ def _lean(predict: Predict, blocks: Sequence[Local]) -> Attachment:
         rows = np.zeros((size(b.block), len(axes[0])))
         rows[: len(d)] = by_lean[: len(d), None] * tents(axes, d, np.zeros(len(d)))
         parts.append((rows, along(b, np.stack([d, np.zeros(len(d))], axis=1))))
-    return _joined("mirror.lean", "phase of the mirror", "mrad", axes, 1, 3.0, (0.75, 2.0, 6.0), parts)
+    return _joined(
+        "mirror.lean", "phase of the mirror", "mrad", axes, 1, 3.0, (0.75, 2.0, 6.0), parts, (("phase", "height"), ())
+    )
 
 
 def _facet(predict: Predict, blocks: Sequence[Local]) -> Attachment:
@@ -381,7 +391,9 @@ def _facet(predict: Predict, blocks: Sequence[Local]) -> Attachment:
             rows[:, facet] = by_lean
             place_[:] = (0.0, facet)
         parts.append((rows, along(b, place_)))
-    return _joined("mirror.facet.lean", "number of the facet", "mrad", axes, 1, 2.0, (0.3, 3.0), parts)
+    return _joined(
+        "mirror.facet.lean", "number of the facet", "mrad", axes, 1, 2.0, (0.3, 3.0), parts, (("phase", "facet"), ())
+    )
 
 
 def _kick(blocks: Sequence[Local]) -> Attachment:
@@ -397,7 +409,15 @@ def _kick(blocks: Sequence[Local]) -> Attachment:
         moved = inside[..., 1:] - inside[..., :1] * b.slope[:, None, :]
         parts.append((push(b, board=moved), along(b, b.crossing)))
     return _joined(
-        "air.kick", "where the light crosses the plane half way", "mrad", axes, 2, 0.5, (40.0, 90.0, 200.0), parts
+        "air.kick",
+        "where the light crosses the plane half way",
+        "mrad",
+        axes,
+        2,
+        0.5,
+        (40.0, 90.0, 200.0),
+        parts,
+        (("y", "z"), ("y", "z")),
     )
 
 
@@ -421,7 +441,17 @@ def _angle(predict: Predict, blocks: Sequence[Local]) -> Attachment:
         for column, there, here in zip(columns, bent([{}] * len(blocks), every), base, strict=True):
             column.append((there - here) / step)
     parts = [(np.stack(c, axis=1), np.full((size(b.block), 2), np.nan)) for b, c in zip(blocks, columns, strict=True)]
-    return _joined("source.angle", "place in the beam's section", "mrad", axes, 2, 0.5, (waist / 2, 2 * waist), parts)
+    return _joined(
+        "source.angle",
+        "place in the beam's section",
+        "mrad",
+        axes,
+        2,
+        0.5,
+        (waist / 2, 2 * waist),
+        parts,
+        (("u", "v"), ("u", "v")),
+    )
 
 
 def _stage(predict: Predict, blocks: Sequence[Local], axis: int) -> Attachment:
@@ -445,7 +475,9 @@ def _stage(predict: Predict, blocks: Sequence[Local], axis: int) -> Attachment:
         ("source.stage", "stated azimuth of the laser", (12.0, 25.0, 60.0)),
         ("source.elevation.stage", "stated elevation of the laser", (5.0, 12.0, 30.0)),
     )[axis]
-    return _joined(name, words, "mrad", axes, 2, 2.0, lengths, parts)
+    return _joined(
+        name, words, "mrad", axes, 2, 2.0, lengths, parts, (("azimuth", "elevation"), ("azimuth", "elevation"))
+    )
 
 
 def _time(predict: Predict, blocks: Sequence[Local]) -> Attachment:
@@ -459,7 +491,7 @@ def _time(predict: Predict, blocks: Sequence[Local]) -> Attachment:
             (push(b, board=world @ b.placement.screen_rotation[:, 1:]), along(b, np.full((len(b.board), 1), t)))
         )
     span = float(np.ptp(axes[0]))
-    return _joined("time.time", "time", "mm", axes, 2, 0.5, (span / 12, span / 4, span), parts)
+    return _joined("time.time", "time", "mm", axes, 2, 0.5, (span / 12, span / 4, span), parts, (("hour",), ("y", "z")))
 
 
 def _wander(blocks: Sequence[Local]) -> Attachment:
@@ -474,4 +506,14 @@ def _wander(blocks: Sequence[Local]) -> Attachment:
         rows[: len(s), i * k : (i + 1) * k] = tents((axis,), s)
         parts.append((rows, along(b, s[:, None])))
     words = "place along the trace, anew in every exposure"
-    return _joined("time.exposure", words, "mm", (axis,), len(blocks), 0.5, (30.0, 60.0, 150.0), parts)
+    return _joined(
+        "time.exposure",
+        words,
+        "mm",
+        (axis,),
+        len(blocks),
+        0.5,
+        (30.0, 60.0, 150.0),
+        parts,
+        (("s",), tuple(b.block.observed.name for b in blocks)),
+    )

@@ -27,7 +27,8 @@ pedestal from the pedestal."""
 class Form:
     """One function: its name, where it acts, and the inputs of the prediction that it moves.
 
-    ``where`` (n, d) are the records' places in its coordinate, ``lengths`` over which it may vary.
+    ``where`` (n, d) are the records' places in its coordinate, along directions that are called ``axes``; ``lengths``
+    are those over which it may vary.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Form:
     unit: str
     where: Array
     lengths: tuple[float, ...]
+    axes: tuple[str, ...]
 
 
 SECOND_ORDER = 1e-4
@@ -58,27 +60,50 @@ def forms(predict: Predict) -> list[Form]:
     up = normal[:, 2:]
     around = normal[:, :2] / np.maximum(np.linalg.norm(normal[:, :2], axis=1, keepdims=True), 1e-9)
     when = np.arange(n, dtype=float)[:, None]
-    both = ("IA", "IE")
+    both, world = ("IA", "IE"), ("east", "north", "up")
     found = [
-        Form("mount.direction", "mount", "where the mount points", both, angle, normal, wide),
-        Form("mount.elevation", "mount", "elevation of the normal", both, angle, np.arcsin(np.clip(up, -1, 1)), wide),
-        Form("mount.azimuth", "mount", "azimuth of the normal", both, angle, around, wide),
-        Form("time.order", "time", "number of the record", both, angle, when, (n / 16, n / 8, n / 3)),
+        Form("mount.direction", "mount", "where the mount points", both, angle, normal, wide, world),
+        Form(
+            "mount.elevation",
+            "mount",
+            "elevation of the normal",
+            both,
+            angle,
+            np.arcsin(np.clip(up, -1, 1)),
+            wide,
+            ("elevation",),
+        ),
+        Form(
+            "mount.azimuth",
+            "mount",
+            "azimuth of the normal",
+            both,
+            angle,
+            around,
+            wide,
+            ("sin(azimuth)", "cos(azimuth)"),
+        ),
+        Form("time.order", "time", "number of the record", both, angle, when, (n / 16, n / 8, n / 3), ("record",)),
     ]
     if mount.observes == "sky":
         height = np.arcsin(np.clip(records.source[:, 2:], -1, 1))
         # A tube that sinks and air that lifts are one function of the elevation: neither is claimed over the other.
-        found.append(Form("mount.sinking", "mount", "elevation of the tube", ("IE",), angle, height, wide))
-        return [*found, Form("sky.elevation", "sky", "elevation of the light", ("sun_up",), angle, height, wide)]
+        found.append(
+            Form("mount.sinking", "mount", "elevation of the tube", ("IE",), angle, height, wide, ("elevation",))
+        )
+        return [
+            *found,
+            Form("sky.elevation", "sky", "elevation of the light", ("sun_up",), angle, height, wide, ("elevation",)),
+        ]
     sun = records.source
-    found.append(Form("sky.direction", "sky", "place of the sun", ("sun_across", "sun_up"), angle, sun, wide))
+    found.append(Form("sky.direction", "sky", "place of the sun", ("sun_across", "sun_up"), angle, sun, wide, world))
     # Of the target alone: a spot's own place on it is what is measured, so that every error would look like a function
     # of that place.
     of = np.array(records.target)
     spots = np.stack([records.spot[of == t].mean(axis=0) for t in of])
     lengths = (1000.0, 3000.0, 10000.0)
     inputs = ("spot_across", "spot_up")
-    return [*found, Form("target.which", "target", "which target it is", inputs, "mm", spots, lengths)]
+    return [*found, Form("target.which", "target", "which target it is", inputs, "mm", spots, lengths, world)]
 
 
 def _attach(problem: Problem, form: Form) -> Attachment:
@@ -103,4 +128,6 @@ def _attach(problem: Problem, form: Form) -> Attachment:
         sigma=RMS[form.unit],
         lengths=form.lengths,
         position=np.repeat(form.where, 2, axis=0),
+        axes=form.axes,
+        parts=form.inputs if k > 1 else (),
     )

@@ -30,7 +30,7 @@ _ZERO = np.zeros(1)
 
 def turned(vectors: Array, about: tuple[Array, Array, Array]) -> Array:
     """Vectors (T, 3) turned by rotation vectors given by components (T,) or (1,) [rad]."""
-    some = [k for k, angle in enumerate(about) if angle.any()]
+    some = [k for k, angle in enumerate(about) if angle is not _ZERO and angle.any()]
     if not some or not vectors.any():
         return vectors
     if len(some) == 1:
