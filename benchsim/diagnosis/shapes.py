@@ -125,8 +125,10 @@ def spread(problem: Problem, covariance: tuple[Array, ...], fit: Fit, effect: Ef
         share = softmax(log - drawn)
         if share @ share < 1 / ENOUGH:
             break
-        spread_of = np.cov(at.T, aweights=share).reshape(len(shapes), -1)
-        laid.append(multivariate_normal(share @ at, WIDER**2 * spread_of, allow_singular=True))
+        # One place that has all of the weight tells no width: then the curvature's is taken there.
+        alone = share @ share > 1 - 1e-9
+        wide = about.cov if alone else WIDER**2 * np.cov(at.T, aweights=share).reshape(len(shapes), -1)
+        laid.append(multivariate_normal(share @ at, wide, allow_singular=True))
     second = np.concatenate([share @ square, share @ (at - middle) ** 2])
     # The range ends where a catalogue's shapes do; how sure the fit is within it is known from the curvature at least.
     return {p.name: max(fit.sigma[p.name], float(np.sqrt(v))) for p, v in zip((*own, *shapes), second, strict=True)}

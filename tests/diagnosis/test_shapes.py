@@ -7,6 +7,7 @@ Expected: over many draws (estimate - truth)/sigma has the rms 1.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -99,3 +100,14 @@ def test_only_what_is_stated_is_widened():
     sharp = line(bump=1.0, at=0.2, noise=0.02, seed=2)
     fit, covariance = fitted(sharp)
     assert widened(sharp, covariance, fit, ("bump",)).sigma == pytest.approx(fit.sigma, rel=0.1)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_place_that_outweighs_all_others_is_finite_and_as_far_off_as_it_lies():
+    """A fit that ended 0.8 from where data of a thousand sigma have the bump: of all places tried one has all of the
+    weight, and no width can be had from it."""
+    problem = line(1.0, 0.3, 1e-3, 5)
+    fit, covariance = fitted(problem)
+    lost = replace(fit, values={**fit.values, "at": -0.5})
+    sigma = spread(problem, covariance, lost, BUMP)
+    assert sigma["at"] == pytest.approx(0.8, abs=0.02)
