@@ -282,19 +282,18 @@ def columns_at(
     steps: Mapping[str, float] | None = None,
 ) -> list[Array]:
     """`columns` at several points, each with parameters of its own; all predictions are asked for at once."""
+    tasks: list[tuple[int, int, int, int, int, float]] = []
     values: list[Values] = []
     blocks: list[int] = []
     here: dict[tuple[int, int], int] = {}
-    differences: list[tuple[int, int, int, int]] = []
-    widths: list[float] = []
 
     def ask(at: Values, block: int) -> int:
         values.append(at)
         blocks.append(block)
-        return len(blocks) - 1
+        return len(values) - 1
 
     for i, (at, parameters) in enumerate(points):
-        for p in parameters:
+        for k, p in enumerate(parameters):
             middle, own = at.get(p.name, 0.0), (steps or {}).get(p.name)
             # Away from 0 one step suffices; at 0 things may appear, a tilted window where there was none.
             once = own is None and middle != 0.0
@@ -303,28 +302,21 @@ def columns_at(
             # A quantity that exists only where it is ≥ 0 is differentiated to the right of 0.
             if (p.one_sided or p.power > 1) and low < 0:
                 low, high, once = 0.0, 2 * step, False
+            width = fit_value(p, high) - fit_value(p, low)
             # One mapping for all blocks: a thousand records would fill the memory with copies.
             below, above = {**at, p.name: low}, {**at, p.name: high}
             for b in range(len(problem.names)) if p.blocks is None else p.blocks:
                 if once and (i, b) not in here:
                     here[i, b] = ask(at, b)
-                differences.append((len(widths), b, here[i, b] if once else ask(below, b), ask(above, b)))
-            widths.append(fit_value(p, high) - fit_value(p, low))
-    out = np.zeros((len(problem.data), len(widths)))
-    if differences:
-        found = predictions(problem, values, blocks)
-        k, b, first, second = np.array(differences, np.intp).T
-        size = np.bincount(problem.block, minlength=len(problem.names))
-        begins, many = np.cumsum(size) - size, size[b]
-        place, flat = np.cumsum(size[blocks]) - size[blocks], np.concatenate(found)
-        within = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)
-        apart = flat[np.repeat(place[second], many) + within] - flat[np.repeat(place[first], many) + within]
-        column = np.repeat(k, many)
-        out[np.repeat(begins[b], many) + within, column] = apart / np.array(widths)[column]
+                first = here[i, b] if once else ask(below, b)
+                tasks.append((i, k, b, first, ask(above, b), width))
+    out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
+    found = predictions(problem, values, blocks)
+    for i, k, b, first, second, width in tasks:
+        out[i][problem.rows(b), k] = (np.asarray(found[second]) - np.asarray(found[first])) / width
     # Beside a point from which light just hits, a step may find none: no derivative is better than one that is not
     # finite, since steps of fits are taken on exact predictions.
-    ends = np.cumsum([len(parameters) for _, parameters in points])
-    return [np.where(np.isfinite(part), part, 0.0) for part in np.split(out, ends[:-1], axis=1)]
+    return [np.where(np.isfinite(j), j, 0.0) for j in out]
 
 
 def predictions(problem: Problem, values: Sequence[Values], blocks: Sequence[int]) -> list[Array]:
