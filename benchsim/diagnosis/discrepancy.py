@@ -94,9 +94,9 @@ def with_columns(linear: Linear, columns: Array) -> Linear:
 
 def _parts(problem: Problem) -> Array:
     """Parts of the noise that the errors of every kind may be, (c, K); those of the first row are all of it."""
+    kinds = len(problem.error_kinds)
     if problem.stated:
-        return np.ones((1, 1))
-    kinds = len(np.unique(problem.kind))
+        return np.ones((1, kinds))
     which = np.unique(np.vstack([np.eye(kinds, dtype=bool), np.ones(kinds, bool)]), axis=0)
     return np.vstack([np.ones(kinds), *(np.where(which, part, 1.0) for part in UNSTATED)])
 

@@ -99,7 +99,5 @@ def smooth_functions(problem: Problem) -> list[Array]:
 
 
 def products(problem: Problem, one: Array, other: Array) -> Array:
-    """oneᵀ other, of every kind of datum by itself where nobody states the errors, (K, …)."""
-    if problem.stated:
-        return (one.T @ other)[None]
-    return np.stack([one[own].T @ other[own] for own in problem.kind == np.unique(problem.kind)[:, None]])
+    """oneᵀ other, of each of `Problem.error_kinds` by itself, (K, …)."""
+    return np.stack([one[own].T @ other[own] for own in problem.error_kinds])

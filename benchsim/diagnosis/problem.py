@@ -212,6 +212,11 @@ class Problem:
         return not self.stated and not any(p.scaled for p in self.nuisances)
 
     @cached_property
+    def error_kinds(self) -> tuple[NDArray[np.bool_] | slice, ...]:
+        """Data whose errors have one unknown size: all, or those of each kind where nobody states the errors."""
+        return (slice(None),) if self.stated else tuple(self.kind == k for k in np.unique(self.kind))
+
+    @cached_property
     def _edges(self) -> list[int]:
         return [int(e) for e in np.searchsorted(self.block, np.arange(len(self.names) + 1))]
 

@@ -57,44 +57,21 @@ def forms(predict: Predict) -> list[Form]:
     x = {k: np.full(n, v) for k, v in predict.stated.items()}
     normal = axes.pointing(mount, records.reading, x)[0]
     angle, wide = mount.unit, (0.25, 0.5, 1.0)
-    up = normal[:, 2:]
+    raised, turn = np.arcsin(np.clip(normal[:, 2:], -1, 1)), ("sin(azimuth)", "cos(azimuth)")
     around = normal[:, :2] / np.maximum(np.linalg.norm(normal[:, :2], axis=1, keepdims=True), 1e-9)
     when = np.arange(n, dtype=float)[:, None]
-    both, world = ("IA", "IE"), ("east", "north", "up")
+    both, world, height = ("IA", "IE"), ("east", "north", "up"), ("elevation",)
     found = [
         Form("mount.direction", "mount", "where the mount points", both, angle, normal, wide, world),
-        Form(
-            "mount.elevation",
-            "mount",
-            "elevation of the normal",
-            both,
-            angle,
-            np.arcsin(np.clip(up, -1, 1)),
-            wide,
-            ("elevation",),
-        ),
-        Form(
-            "mount.azimuth",
-            "mount",
-            "azimuth of the normal",
-            both,
-            angle,
-            around,
-            wide,
-            ("sin(azimuth)", "cos(azimuth)"),
-        ),
+        Form("mount.elevation", "mount", "elevation of the normal", both, angle, raised, wide, height),
+        Form("mount.azimuth", "mount", "azimuth of the normal", both, angle, around, wide, turn),
         Form("time.order", "time", "number of the record", both, angle, when, (n / 16, n / 8, n / 3), ("record",)),
     ]
     if mount.observes == "sky":
-        height = np.arcsin(np.clip(records.source[:, 2:], -1, 1))
+        high = np.arcsin(np.clip(records.source[:, 2:], -1, 1))
         # A tube that sinks and air that lifts are one function of the elevation: neither is claimed over the other.
-        found.append(
-            Form("mount.sinking", "mount", "elevation of the tube", ("IE",), angle, height, wide, ("elevation",))
-        )
-        return [
-            *found,
-            Form("sky.elevation", "sky", "elevation of the light", ("sun_up",), angle, height, wide, ("elevation",)),
-        ]
+        found.append(Form("mount.sinking", "mount", "elevation of the tube", ("IE",), angle, high, wide, height))
+        return [*found, Form("sky.elevation", "sky", "elevation of the light", ("sun_up",), angle, high, wide, height)]
     sun = records.source
     found.append(Form("sky.direction", "sky", "place of the sun", ("sun_across", "sun_up"), angle, sun, wide, world))
     # Of the target alone: a spot's own place on it is what is measured, so that every error would look like a function
