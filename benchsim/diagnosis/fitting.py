@@ -152,9 +152,8 @@ class _Run:
 
 
 def _hope(run: _Run, log_prior: Mapping[Effects, float]) -> float:
-    """ln Z where a fit is, and what its derivatives promise of it."""
-    assert run.end is not None
-    return float(logsumexp(run.cells)) + log_prior[run.start.hypothesis.names] + run.end.promise
+    """ln Z that the derivatives where a fit is promise of it."""
+    return float(logsumexp(run.cells)) + log_prior[run.start.hypothesis.names]
 
 
 def _advance(context: Context, runs: Sequence[_Run], renewals: int, steps: int) -> None:
@@ -316,9 +315,11 @@ def _solved(context: Context, run: _Run, log_prior: float) -> Solved:
     order = [names.index(wanted[i]) for i in place]
     own_covariance = np.zeros((len(wanted), len(wanted)))
     own_covariance[np.ix_(place, place)] = (covariance * slope[:, None] * slope)[p:, p:][np.ix_(order, order)]
+    # Linear about the end, cells count as had what derivatives still promise; rough ones promise much in vain.
+    offset = log_prior - (0.0 if end.exact else end.promise)
     done = Fit(
         h.names,
-        float(logsumexp(cells)) + log_prior,
+        float(logsumexp(cells)) + offset,
         at,
         sigma,
         own_covariance,
@@ -326,7 +327,7 @@ def _solved(context: Context, run: _Run, log_prior: float) -> Solved:
         float(end.residual @ end.residual),
         end.converged or (end.exact and (end.promise < OWED or not h.names)),
         lin,
-        np.asarray(logsumexp(cells, axis=1)) + log_prior,
+        np.asarray(logsumexp(cells, axis=1)) + offset,
     )
     return Solved(done, point, -end.jacobian, end.residual, end.cost, end.exact)
 

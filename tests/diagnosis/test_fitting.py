@@ -108,6 +108,15 @@ def test_without_renewal_a_fit_comes_near_and_says_that_its_derivatives_are_not_
     assert scout.fit.log_evidence == pytest.approx(right.fit.log_evidence, abs=1.0)
 
 
+@pytest.mark.parametrize("turn", [1.2, 3.0])
+def test_a_fit_that_got_lost_on_rough_derivatives_is_not_credited_with_what_they_promise(turn):
+    """Derivatives that point the wrong way allow no step and promise what all steps together would bring."""
+    problem, _ = lines.problem({"turn": turn}, seed=2)
+    right, lost = solved(problem, ("turn",)).fit, solved(problem, ("turn",), renewals=0, wrong=-1.0).fit
+    assert lost.chi2 > right.chi2 + 40
+    assert lost.log_evidence < right.log_evidence - 0.5 * (lost.chi2 - right.chi2) + 1
+
+
 def test_starts_fitted_together_end_where_each_does_alone():
     problem, _ = lines.problem({"bow_1": 0.2, "turn": 0.3}, seed=3)
     starts = [s for e in (("turn",), ("bow",), ("blur",)) for s in starts_of(problem, e, size=0.1)]
