@@ -23,8 +23,8 @@ import pypdfium2
 from benchsim import jobs
 from benchsim.bench.marks import read_marks
 from benchsim.bench.model import Camera, Marks
-from benchsim.board import Layout, Tile, tiles, whole
-from benchsim.board.tiles import MARGIN
+from benchsim.boards import Layout, Tile, tiles, whole
+from benchsim.boards.tiles import MARGIN
 from benchsim.trace import Photograph, find_marks
 
 BAR = 0.05

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchsim.bench.files import read
 from benchsim.calibration import LENS, calibrate
-from benchsim.render.phone import Phone, photograph_with_phone
+from benchsim.renderer.phone import Phone, photograph_with_phone
 
 ROOT = Path(__file__).resolve().parents[1]
 

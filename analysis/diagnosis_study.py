@@ -205,7 +205,7 @@ def photographs_case(
 ) -> Iterator[Part]:
     """One case of the photographs' tier, of those with a defect (`stress`), or of those by another program; how visible
     the truth is there is read from the pictures that are judged."""
-    from benchsim.render.recording import render_recording
+    from benchsim.renderer.recording import render_recording
 
     rng = rng_of(seed, tier, row, case)
     on = stage(tier, design(row), seed, case, shrink)

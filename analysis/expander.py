@@ -12,10 +12,10 @@ import numpy as np
 
 import benchsim  # noqa: F401  (before mitsuba)
 from benchsim.bench.model import Expander, Laser, Surface
-from benchsim.render import backend
-from benchsim.render.beam_table import polynomial
-from benchsim.render.expander import elements, expand, refract, trace
-from benchsim.render.glass import index
+from benchsim.renderer import backend
+from benchsim.renderer.beam_table import polynomial
+from benchsim.renderer.expander import elements, expand, refract, trace
+from benchsim.renderer.glass import index
 
 BAR = 1e-6
 WAVELENGTH = 632.8e-6

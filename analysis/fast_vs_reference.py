@@ -22,8 +22,8 @@ from scipy import stats
 from benchsim.bench.files import read
 from benchsim.bench.model import Camera, Recording
 from benchsim.bench.place import place
-from benchsim.render import backend, irradiance, photograph, scene_xml
-from benchsim.render.reference import render
+from benchsim.renderer import backend, irradiance, photograph, scene_xml
+from benchsim.renderer.reference import render
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 FALSE_ALARM, LIT = 0.01, 0.02

@@ -25,10 +25,10 @@ from scipy.spatial.transform import Rotation
 
 from benchsim.bench.files import read
 from benchsim.bench.place import SettingErrors, place
-from benchsim.render.irradiance import irradiance
-from benchsim.render.picture import photograph
-from benchsim.render.recording import draw_pose
-from benchsim.render.sensor import expose, signals, write_image
+from benchsim.renderer.irradiance import irradiance
+from benchsim.renderer.picture import photograph
+from benchsim.renderer.recording import draw_pose
+from benchsim.renderer.sensor import expose, signals, write_image
 from benchsim.trace import board_corners, find_marks, read_image, solve_pose, to_board, to_pixels
 
 ROOT = Path(__file__).resolve().parents[1]

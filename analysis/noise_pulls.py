@@ -86,7 +86,7 @@ def drawn(kind: str, seed: int, case: int) -> tuple[Recording, list[str], int]:
 
 def rendered(kind: str, seed: int, case: int, folder: Path) -> tuple[Recording, Values]:
     """A recording rendered into a folder, if it is not there, and the true values of its nuisances."""
-    from benchsim.render import backend, render_recording
+    from benchsim.renderer import backend, render_recording
 
     truth = folder / "truth.json"
     if not truth.is_file():

@@ -98,7 +98,7 @@ def draw_lens(bench: Path, seed: int, file: Path) -> None:
     from benchsim.bench.files import read
     from benchsim.calibration.record import write_camera
     from benchsim.calibration.solve import LENS
-    from benchsim.render.phone import draw_truth
+    from benchsim.renderer.phone import draw_truth
 
     camera = draw_truth(read(bench, images=False), seed)[2]
     focal, point, k1 = DRAWN_SIGMA

@@ -55,7 +55,7 @@ from benchsim.instruments.bench.fitted_simulation import left_out, probable, sta
 from benchsim.instruments.bench.pixels import pixels_of
 from benchsim.instruments.bench.prediction import Predict, errors
 from benchsim.jobs import comparing
-from benchsim.render.recording import RenderedTruth, render_recording
+from benchsim.renderer.recording import RenderedTruth, render_recording
 
 Values = Mapping[str, float]
 

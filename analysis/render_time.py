@@ -24,7 +24,7 @@ start = time.perf_counter()
 from dataclasses import replace
 import benchsim
 from benchsim.bench.files import read
-from benchsim.render.recording import render_recording
+from benchsim.renderer.recording import render_recording
 recording = read(sys.argv[1], images=False)
 recording = replace(recording, exposures=recording.exposures[:1])
 imported = time.perf_counter() - start

@@ -1,4 +1,4 @@
-"""`render` against `rays`: centroid and light of the trace on the board, two independent realisations of one bench.
+"""`renderer` against `rays`: centroid and light of the trace on the board, two independent realisations of one bench.
 
 Both are cut along the same straight lines, perpendicular to the trace that `rays` predicts. The centroid of the
 irradiance and its integral are taken over the same window, since with diffraction both depend on where the tails are
@@ -22,7 +22,7 @@ from benchsim.bench.files import read
 from benchsim.bench.model import Recording
 from benchsim.bench.place import SettingErrors, place
 from benchsim.rays import irradiance_profiles
-from benchsim.render import ScreenMap, irradiance
+from benchsim.renderer import ScreenMap, irradiance
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 CENTROID_BAR, FLUX_BAR = 2e-3, 1e-3

@@ -105,7 +105,7 @@ def brightened(light: pictures.Light, fraction: float) -> pictures.Light:
 def rendered(seed: int, folder: Path, quick: bool) -> list[Result]:
     """Recordings of the twelve settings rendered by benchsim, 16 and 8 bit, against the ray model's trace."""
     from benchsim.rays.curve import trace_curve
-    from benchsim.render import backend, render_recording
+    from benchsim.renderer import backend, render_recording
 
     backend.use()
     bench = read(benchsim_scene("campaign12.toml"), images=False)

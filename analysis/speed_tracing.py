@@ -30,12 +30,12 @@ import numpy as np
 from benchsim.bench.files import read
 from benchsim.bench.model import Recording
 from benchsim.bench.place import Placement, place
-from benchsim.render import backend, irradiance
-from benchsim.render.laser import perpendicular
-from benchsim.render.picture import photograph
-from benchsim.render.reference import facet_shapes, rotor_frame
-from benchsim.render.sweep import sweep
-from benchsim.render.tracer import Tracer
+from benchsim.renderer import backend, irradiance
+from benchsim.renderer.laser import perpendicular
+from benchsim.renderer.picture import photograph
+from benchsim.renderer.reference import facet_shapes, rotor_frame
+from benchsim.renderer.sweep import sweep
+from benchsim.renderer.tracer import Tracer
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 NOISE = 0.01

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import fourier_gaussian
 
-from benchsim.render import recording as rendering
-from benchsim.render.irradiance import ScreenMap
+from benchsim.renderer import recording as rendering
+from benchsim.renderer.irradiance import ScreenMap
 
 KINDS = ("tail", "coarse", "wander")
 

@@ -24,8 +24,8 @@ from benchsim import trace
 from benchsim.bench.files import read
 from benchsim.bench.model import Recording
 from benchsim.instruments.bench.validation import validate_trace
-from benchsim.render import backend
-from benchsim.render.recording import render_recording
+from benchsim.renderer import backend
+from benchsim.renderer.recording import render_recording
 
 SCENE = Path(__file__).resolve().parents[1] / "scenes" / "campaign12.toml"
 

@@ -48,7 +48,7 @@ def one(seed: int, shrink: int) -> dict[str, Any]:
 
 def judged(seed: int, shrink: int) -> dict[str, Any]:
     """Photographs of one draw, and what was said of them."""
-    from benchsim.render.recording import render_recording
+    from benchsim.renderer.recording import render_recording
 
     recording = draw.bench("campaign", np.random.default_rng(seed), shrink)
     with tempfile.TemporaryDirectory() as folder:

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1] / "benchsim"
 
 ALLOWED = {
     "bench": set(),
-    "board": {"bench"},
+    "boards": {"bench"},
     "calibration": {"bench", "trace"},
     "intake": {"bench", "calibration", "trace", "vector"},
     "vector": {"bench"},
@@ -20,15 +20,15 @@ ALLOWED = {
     "trace": {"bench"},
     "conics": {"bench"},
     "diagnosis": set(),
-    "render": {"bench"},
-    "report": {"bench", "calibration", "diagnosis", "rays", "trace", "conics", "vector"},
+    "renderer": {"bench"},
+    "reports": {"bench", "calibration", "diagnosis", "rays", "trace", "conics", "vector"},
     "instruments": {"bench", "diagnosis", "rays", "trace", "conics", "vector"},
     "detectors": {"bench", "vector"},
-    "drone": {"bench", "render"},
-    "flux": {"bench", "vector", "instruments", "render"},
+    "drone": {"bench", "renderer"},
+    "flux": {"bench", "vector", "instruments", "renderer"},
     "jobs": {
         "bench",
-        "board",
+        "boards",
         "calibration",
         "intake",
         "diagnosis",
@@ -36,14 +36,14 @@ ALLOWED = {
         "trace",
         "conics",
         "vector",
-        "report",
-        "render",
+        "reports",
+        "renderer",
         "instruments",
     },
-    "trial": {"bench", "diagnosis", "rays", "render", "instruments", "jobs"},
+    "trial": {"bench", "diagnosis", "rays", "renderer", "instruments", "jobs"},
     "cli": {"bench", "jobs", "trial"},
 }
-"""Room → rooms it may import. ``report`` sees the result types of the rooms below it."""
+"""Room → rooms it may import. ``reports`` sees the result types of the rooms below it."""
 
 
 def imported(path: Path) -> set[str]:
@@ -86,8 +86,8 @@ def test_imports_point_one_way(path):
 
 def test_the_walk_sees_a_forbidden_import(tmp_path):
     bad = tmp_path / "bad.py"
-    bad.write_text("def f():\n    from benchsim.rays import trace\n    import benchsim.render.board\n")
-    assert rooms_of(imported(bad)) == {"rays", "render"}
+    bad.write_text("def f():\n    from benchsim.rays import trace\n    import benchsim.renderer.board\n")
+    assert rooms_of(imported(bad)) == {"rays", "renderer"}
 
 
 def test_the_package_itself_imports_nothing_heavy():

@@ -1,8 +1,8 @@
 """Free fields: tabulated functions, one or two per element of the light's path, in that element's own coordinate.
 
-A field is physics without a name: what an attachment, a law or an unknown cause adds to an element. `rays` and `render`
-both take them; the recording's file holds them as ``[fields.NAME]`` with one list of knots per coordinate and one
-(nested) list of values per component.
+A field is physics without a name: what an attachment, a law or an unknown cause adds to an element. `rays` and
+`renderer` both take them; the recording's file holds them as ``[fields.NAME]`` with one list of knots per coordinate
+and one (nested) list of values per component.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Where everything stands: the stated setting and its errors as one rigid placement in the world frame.
 
-The aim is a convention of the bench, not a result of a simulation, so `vector`, `rays` and `render` share it; what
+The aim is a convention of the bench, not a result of a simulation, so `vector`, `rays` and `renderer` share it; what
 light does from there on each of them works out for itself.
 """
 

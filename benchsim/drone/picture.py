@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchsim.drone.flight import Flight, Heliostat
 from benchsim.drone.heliostat import axes, normals, shape
-from benchsim.render import backend
+from benchsim.renderer import backend
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchsim.flux.heliostat import Heliostat, Target, mirror_axes, unit
-from benchsim.render.backend import use
+from benchsim.renderer.backend import use
 
 Array = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def flux(
         Rays of a batch, and batches.
     seed : int
     variant : str, optional
-        Of Mitsuba; see `benchsim.render.backend.use`.
+        Of Mitsuba; see `benchsim.renderer.backend.use`.
 
     Returns
     -------

@@ -11,8 +11,8 @@ from benchsim.bench.model import Marks
 from benchsim.bench.paths import STAMP
 from benchsim.bench.reading import load_json
 from benchsim.bench.writing import write_marks
-from benchsim.board import PAPERS, Layout, corrected, draw, lay_out, tiles, whole, write_pdf, write_svg
-from benchsim.board.layout import RULE
+from benchsim.boards import PAPERS, Layout, corrected, draw, lay_out, tiles, whole, write_pdf, write_svg
+from benchsim.boards.layout import RULE
 from benchsim.jobs.output import output_folder
 from benchsim.jobs.progress import Progress, silent
 

@@ -253,7 +253,7 @@ def calibrate(
 
 
 def _draw(result: CalibrateResult) -> None:
-    from benchsim.report import calibration_pictures
+    from benchsim.reports import calibration_pictures
 
     c = result.calibration
     b = c.bundle

@@ -163,8 +163,8 @@ def compare(
     BenchsimError
         If no exposure can be compared.
     """
-    from benchsim.render.charge import arrived
-    from benchsim.render.rerendered import expected
+    from benchsim.renderer.charge import arrived
+    from benchsim.renderer.rerendered import expected
 
     def show(s: State, exposure: Exposure) -> Render:
         picture = expected(
@@ -198,7 +198,7 @@ def compare(
 
 def draw(comparison: Comparison, path: Path, title: str) -> list[Path]:
     """Photograph, render and residuals of every exposure compared; see `report.pixels.strips`."""
-    from benchsim.report.pixels import Strip, strips
+    from benchsim.reports.pixels import Strip, strips
 
     shown = [
         Strip(

@@ -28,8 +28,8 @@ from benchsim.jobs.output import default_folder, label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
 from benchsim.jobs.workers import Workers, workers
-from benchsim.report import diagnosis_pictures as pictures
-from benchsim.report.diagnosis_text import About, listed, summary
+from benchsim.reports import diagnosis_pictures as pictures
+from benchsim.reports.diagnosis_text import About, listed, summary
 
 if TYPE_CHECKING:
     from benchsim.jobs.mount_diagnosis import MountDiagnosis
@@ -288,7 +288,7 @@ def draw_pixels(result: DiagnosisResult, folder: Path, progress: Progress = sile
     from benchsim.instruments.bench.fitted_simulation import probable, state
     from benchsim.instruments.bench.pixels import pixels_of
     from benchsim.jobs import comparing
-    from benchsim.render import backend
+    from benchsim.renderer import backend
 
     d, problem = result.diagnosis, result.problem
     predict = problem.predict

@@ -23,8 +23,8 @@ from benchsim.instruments.bench import effects as bench_effects
 from benchsim.jobs.output import label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import workers
-from benchsim.report import effects_text
-from benchsim.report.diagnosis_text import shapes_text
+from benchsim.reports import effects_text
+from benchsim.reports.diagnosis_text import shapes_text
 
 TOLD_AT = 10.0
 """Size in sigma at which effects are compared: at their caps many differ only because one cap is larger."""

@@ -26,8 +26,8 @@ from benchsim.instruments.bench.prediction import Predict
 from benchsim.instruments.bench.validation import ExposureValidation
 from benchsim.jobs.fitting import FittedExposure
 from benchsim.jobs.output import label
-from benchsim.report.page import FORMAT
-from benchsim.report.pictures import _tone
+from benchsim.reports.page import FORMAT
+from benchsim.reports.pictures import _tone
 
 Array = NDArray[np.float64]
 

@@ -35,7 +35,7 @@ from benchsim.jobs.cluster import Scheduler, cluster
 from benchsim.jobs.mount_diagnosis import MountDiagnosis
 from benchsim.jobs.output import begun_folder, default_folder
 from benchsim.jobs.progress import Progress, silent
-from benchsim.report import page
+from benchsim.reports import page
 
 FORMAT = "benchsim-field/1"
 

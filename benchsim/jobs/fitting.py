@@ -21,7 +21,7 @@ from benchsim.bench.settings import NAMES, from_vector, prior_sigma, screen_seat
 from benchsim.bench.writing import write_csv, write_text
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
-from benchsim.report import pictures
+from benchsim.reports import pictures
 from benchsim.trace import likeness
 
 Array = NDArray[np.float64]

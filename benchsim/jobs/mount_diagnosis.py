@@ -28,12 +28,12 @@ from benchsim.jobs import amended_mounts
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
-from benchsim.report import diagnosis_pictures as pictures
-from benchsim.report import mount_pictures
-from benchsim.report.diagnosis_text import About, summary
-from benchsim.report.page import FORMAT
-from benchsim.report.page_words import PRIOR
-from benchsim.report.vocabulary import mount as vocabulary
+from benchsim.reports import diagnosis_pictures as pictures
+from benchsim.reports import mount_pictures
+from benchsim.reports.diagnosis_text import About, summary
+from benchsim.reports.page import FORMAT
+from benchsim.reports.page_words import PRIOR
+from benchsim.reports.vocabulary import mount as vocabulary
 
 ROUNDS = 2
 """Times at most that outlying records are looked for about a fit, and the rest diagnosed anew."""

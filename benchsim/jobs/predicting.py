@@ -21,7 +21,7 @@ from benchsim.jobs import amended_mounts
 from benchsim.jobs.aiming import Aim, aim_at
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
-from benchsim.report import mount_pictures
+from benchsim.reports import mount_pictures
 
 TOLD = 20
 """Records of a summary; the file has all."""

@@ -150,8 +150,8 @@ def render(
 def _with_phone(
     recording: Recording, folder: Path, options: dict[str, Any], variant: str | None, progress: Progress
 ) -> PhoneResult:
-    from benchsim.render import backend
-    from benchsim.render.phone import photograph_with_phone
+    from benchsim.renderer import backend
+    from benchsim.renderer.phone import photograph_with_phone
 
     progress("testing Mitsuba's back end", 0.0)
     backend.use(variant)
@@ -180,8 +180,8 @@ def render_into(
     progress: Progress = silent,
 ) -> tuple[Recording, tuple[str, ...]]:
     """Render into an existing folder; returns the recording as it was written, and what there is to say about it."""
-    from benchsim.render import backend
-    from benchsim.render.recording import render_recording
+    from benchsim.renderer import backend
+    from benchsim.renderer.recording import render_recording
 
     progress("testing Mitsuba's back end", 0.0)
     backend.use(variant)

@@ -15,7 +15,7 @@ from benchsim.bench.paths import STAMP, inside
 from benchsim.bench.reading import load_json, read_file
 from benchsim.bench.writing import write_text
 from benchsim.jobs.progress import Progress, silent
-from benchsim.report import forms, page, page_trial
+from benchsim.reports import forms, page, page_trial
 
 NAME = "report.html"
 

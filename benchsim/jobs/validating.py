@@ -22,7 +22,7 @@ from benchsim.instruments.bench.validation import LEVEL, ExposureValidation, val
 from benchsim.jobs.fitting import FitResult, draw_overlay, fit_recording
 from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
-from benchsim.report import pictures
+from benchsim.reports import pictures
 from benchsim.trace.pose import Pose
 
 Array = NDArray[np.float64]

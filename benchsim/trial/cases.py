@@ -244,8 +244,8 @@ def _made(plan: Plan, number: int, attempt: int, folder: Path) -> dict[str, Any]
     import cv2
     import drjit as dr
 
-    from benchsim.render import backend
-    from benchsim.render.recording import render_recording
+    from benchsim.renderer import backend
+    from benchsim.renderer.recording import render_recording
 
     backend.use(None)
     dr.set_thread_count(1)

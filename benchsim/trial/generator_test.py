@@ -89,7 +89,7 @@ def certify(
     sets: int = SETS,
     drawn: Recording | None = None,
 ) -> Certificate:
-    """Hold the light that `render` makes of a clean bench against `rays`.
+    """Hold the light that `renderer` makes of a clean bench against `rays`.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def certify(
     drawn : Recording, optional
         Rendered in place of ``bench``, to see the certificate refused.
     """
-    from benchsim.render import backend, irradiance
+    from benchsim.renderer import backend, irradiance
 
     backend.use(None)
     rng = np.random.default_rng(seed)

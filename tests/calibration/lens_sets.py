@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchsim.bench.model import Camera, Marks
-from benchsim.board import lay_out
+from benchsim.boards import lay_out
 from benchsim.calibration.model import predict, project, spreading
 from benchsim.trace.marks import MarkObservations, board_corners
 

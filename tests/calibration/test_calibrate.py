@@ -18,7 +18,7 @@ from benchsim import jobs
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.schema import CameraTable
 from benchsim.bench.writing import write_marks
-from benchsim.board import lay_out
+from benchsim.boards import lay_out
 from benchsim.calibration import read_camera
 from benchsim.calibration.exif import changed, lens_tags
 from benchsim.jobs import calibrating

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 @pytest.fixture(scope="module")
 def backend():
     """Mitsuba's back end; without one, its tests skip."""
-    from benchsim.render.backend import use
+    from benchsim.renderer.backend import use
 
     try:
         use()

@@ -1,4 +1,4 @@
-"""The bench from the contract's words alone: a vector ray tracer in NumPy, float64, that holds `rays` and `render`.
+"""The bench from the contract's words alone: a vector ray tracer in NumPy, float64, that holds `rays` and `renderer`.
 
 Nothing here is taken from the package but its description of an experiment (`benchsim.bench`'s dataclasses). Frame,
 units and signs are the contract's: x is the screen's normal toward the mirror, y west, z up; mm, rad, s; effects in

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from benchsim.bench.place import place
-from benchsim.render import irradiance
+from benchsim.renderer import irradiance
 
 STRETCHES = 12
 SEEDS = range(71, 76)
@@ -83,7 +83,7 @@ def windows(s, length):
 
 
 def land(recording, effects=None, *, errors=STATED, index=0, rays=1_000_000, amount=True, samples=37, truth=None):
-    """`render`'s light against first principles, by a z-test of every stretch; what it differs by."""
+    """`renderer`'s light against first principles, by a z-test of every stretch; what it differs by."""
     effects = effects or {}
     bent = replace(recording, effects=effects)
     exposure = recording.exposures[index]

@@ -1,4 +1,4 @@
-"""Every effect between board and pixel, `render` against first principles: spots of light and marks in its picture."""
+"""Every effect between board and pixel, `renderer` against first principles: spots of light and marks in pictures."""
 
 from dataclasses import replace
 
@@ -9,8 +9,8 @@ from first_principles import turn, unit
 from holding import bench
 
 from benchsim.bench.place import place
-from benchsim.render import ScreenMap, photograph
-from benchsim.render.charge import arrived
+from benchsim.renderer import ScreenMap, photograph
+from benchsim.renderer.charge import arrived
 
 pytestmark = pytest.mark.usefixtures("backend")
 

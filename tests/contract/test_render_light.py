@@ -1,4 +1,4 @@
-"""Every effect of the light, `render` against first principles: mean across, variance and light of its irradiance.
+"""Every effect of the light, `renderer` against first principles: mean across, variance and light of its irradiance.
 
 Five maps of a million rays each; a z-test per smooth stretch of the trace, with the scatter among seeds (fixed) as its
 error, some hundredths of a µm. The rate of false alarms of a test is below 1e-4 by the normal law. By default every
@@ -13,7 +13,7 @@ from first_principles import Errors, Tracer
 from holding import bench
 from landing import CHANCE, PITCH, SEEDS, across, expectation, land, stretches
 
-from benchsim.render import irradiance
+from benchsim.renderer import irradiance
 
 pytestmark = pytest.mark.usefixtures("backend")
 

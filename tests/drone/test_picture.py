@@ -72,7 +72,7 @@ def test_a_picture_without_a_mirror_is_refused():
 def rendered():
     """Frames of a flight that show a glint, every third, photographed."""
     from benchsim.drone import picture
-    from benchsim.render import backend
+    from benchsim.renderer import backend
 
     try:
         backend.use()

@@ -20,7 +20,7 @@ from benchsim.instruments.bench import asymmetry, observables, problem
 from benchsim.instruments.bench.fitted_simulation import probable
 from benchsim.instruments.bench.pixels import pixels_of
 from benchsim.instruments.bench.prediction import UNITS, errors
-from benchsim.render import recording as rendering
+from benchsim.renderer import recording as rendering
 
 ROOT = Path(__file__).parents[2]
 

@@ -22,8 +22,8 @@ from benchsim.bench.place import place
 from benchsim.instruments.bench import effects, observables
 from benchsim.instruments.bench.candidates import candidates
 from benchsim.instruments.bench.problem import build
-from benchsim.render import EFFECTS as drawn
-from benchsim.render.motion import motion
+from benchsim.renderer import EFFECTS as drawn
+from benchsim.renderer.motion import motion
 
 assert benchsim.__file__.startswith({copy!r}), benchsim.__file__
 settling = dict(sety=0.4, setz=-0.2, set_h=0.5)
@@ -72,7 +72,7 @@ def changes():
 def test_the_example_touches_three_files(changes):
     files = [file for file, _, _ in changes]
     assert len(set(files)) == 3 and len(files) == 5
-    assert [Path(f).parts[1] for f in dict.fromkeys(files)] == ["rays", "render", "instruments"]
+    assert [Path(f).parts[1] for f in dict.fromkeys(files)] == ["rays", "renderer", "instruments"]
 
 
 def test_the_example_works_as_it_stands(changes, tmp_path):

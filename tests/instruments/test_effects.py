@@ -121,7 +121,7 @@ def test_every_effect_is_a_candidate_or_comes_with_a_reason_why_not(bench):
 
 
 def test_entries_say_where_a_closed_form_stands_in_for_an_optics_library():
-    """What `render` does not trace: motions and rows as shifts, polynomials of direction and lens, a thin deflector,
+    """What `renderer` does not trace: motions and rows as shifts, polynomials of direction and lens, a thin deflector,
     waves, charge, and shares of physics that is there or not."""
     drawn = {e.name: e.drawn for e in effects.CATALOGUE if e.drawn}
     assert drawn.keys() == {

@@ -23,8 +23,8 @@ from benchsim.bench.files import read
 from benchsim.instruments.bench import amended_file, effects, observables, problem
 from benchsim.jobs import diagnosing
 from benchsim.jobs.workers import workers
-from benchsim.render import recording as rendering
-from benchsim.render.irradiance import irradiance
+from benchsim.renderer import recording as rendering
+from benchsim.renderer.irradiance import irradiance
 
 BOW = {"bow_y": 0.05, "bow_z": -0.04}
 LOOKED_FOR = ("screen-tilt", "screen-bow", "grid-aspect", "radial-distortion")

@@ -19,10 +19,10 @@ from benchsim.instruments.bench import amended_file, effects, observables, probl
 from benchsim.instruments.bench import pixels as about
 from benchsim.instruments.bench.fitted_simulation import left_out, probable, state
 from benchsim.jobs import comparing, diagnosing
-from benchsim.render import charge
-from benchsim.render import recording as rendering
-from benchsim.render.effects import gather
-from benchsim.report import pixels
+from benchsim.renderer import charge
+from benchsim.renderer import recording as rendering
+from benchsim.renderer.effects import gather
+from benchsim.reports import pixels
 
 ROOT = Path(__file__).resolve().parents[2]
 CLEAN = ROOT.parent / "shared" / "recordings" / "bench-other-code" / "clean-f7"
@@ -164,7 +164,7 @@ def test_gain_and_blur_are_those_of_the_photograph(bowed, bowed_seen, laid, monk
 
 @pytest.mark.parametrize("kind", ["law", "blooming"])
 def test_what_the_sensor_does_is_laid_on_the_photograph(bowed, bowed_seen, laid, monkeypatch, kind):
-    """Rationale: a law of brightness and blooming belong to the sensor, which `render` draws after the lens's blur.
+    """Rationale: a law of brightness and blooming belong to the sensor, which `renderer` draws after the lens's blur.
 
     Set-up: a photograph whose bright pixels are moved by a third of a pixel. Expectation: z of 1 where the state has
     that field or effect, far above where it has not; the lens's blur comes back, and is not put after the sensor.
@@ -236,7 +236,7 @@ def test_a_render_that_is_not_to_be_had_costs_one_exposure(bowed, bowed_seen):
 
 def test_photographs_of_unknown_gamma_are_not_rendered_again(bowed, bowed_seen, monkeypatch):
     camera = replace(bowed.cameras["A"], gamma="unknown")
-    monkeypatch.setattr("benchsim.render.rerendered.expected", lambda *a, **k: pytest.fail("rendered"))
+    monkeypatch.setattr("benchsim.renderer.rerendered.expected", lambda *a, **k: pytest.fail("rendered"))
     with pytest.raises(BenchsimError, match=r"cameras\.A\.gamma: unknown"):
         comparing.compare(replace(bowed, cameras={"A": camera}), bowed_seen[0], [None] * 3, [None] * 3)
 

@@ -16,8 +16,8 @@ import pytest
 
 from benchsim.bench.files import read
 from benchsim.instruments.bench import observables, problem
-from benchsim.render import recording as rendering
-from benchsim.render.irradiance import irradiance
+from benchsim.renderer import recording as rendering
+from benchsim.renderer.irradiance import irradiance
 
 
 @pytest.fixture(scope="module")

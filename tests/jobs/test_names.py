@@ -20,7 +20,7 @@ from benchsim.bench.files import read
 from benchsim.bench.names import cell, file_name, printable
 from benchsim.bench.writing import write_csv
 from benchsim.jobs.output import default_folder
-from benchsim.report import pictures
+from benchsim.reports import pictures
 
 NASTY = (
     "\x1b]0;title\x07", "\x1b[2J\x1b[1;1H", "a\nverdict: nothing-missing", "a\r", "\u202egnp.exe", "\x9b31m",

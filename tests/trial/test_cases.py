@@ -9,7 +9,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.instruments.bench import effects as catalogue
 from benchsim.instruments.bench import observables
 from benchsim.instruments.bench import problem as bench_problem
-from benchsim.render import effects as rendered
+from benchsim.renderer import effects as rendered
 from benchsim.trial import cases, draws
 from benchsim.trial.hashing import rng_of
 

@@ -1,6 +1,6 @@
 """The catalogue of the bench: every effect that the simulation may lack, as data.
 
-An effect is added here, in one module of `rays` and in one of `render`, and nowhere else. Names, units and signs are
+An effect is added here, in one module of `rays` and in one of `renderer`, and nowhere else. Names, units and signs are
 those of the recording's ``[effects]``; amplitudes are added to what the file states.
 
 Some mechanisms move the light in the same way and carry one name, under which each of them counts as found: see
@@ -70,7 +70,7 @@ class Entry:
     synonyms : tuple of str
         Other mechanisms that no recording of this bench tells from it.
     drawn : str
-        How `render` draws it, one sentence, where no optics library draws it honestly and a closed form stands in;
+        How `renderer` draws it, one sentence, where no optics library draws it honestly and a closed form stands in;
         empty where light is traced through what it physically is.
     needs : tuple of str
         What a recording must have, or a diagnosis does not judge it there: keys of `candidates.NEEDS`.

@@ -1,0 +1,131 @@
+"""What a diagnosis concludes, in sentences: the one place where they are made, for the terminal and for the page.
+
+They are made from ``diagnosis.json`` alone, so that whatever was kept can be told again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from benchsim.reports.vocabulary import BENCH, Vocabulary
+
+Json = Mapping[str, Any]
+
+SETTINGS = "setting-errors"
+
+CONFIDENCE = {
+    "named": "named",
+    "probable": "probable, not certain",
+    "provisional": "provisional: it predicts what was left out, its name is not certain",
+}
+"""Confidence of an effect → how it is told."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def headline(d: Json, words: Vocabulary = BENCH) -> str:
+    """The verdict in one or two sentences.
+
+    Parameters
+    ----------
+    d : mapping
+        ``diagnosis.json``.
+    words : Vocabulary
+    """
+    found = [f["name"] for f in d["effects"] if f["name"] != SETTINGS]
+    sure = [f["name"] for f in d["effects"] if f["name"] in found and f["confidence"] == "named"]
+    settings = next((f for f in d["effects"] if f["name"] == SETTINGS), None)
+    parts = []
+    match d["verdict"]:
+        case "nothing-missing":
+            parts.append(f"Nothing is missing that these {words.recordings} could show.")
+        case "named" if not found:
+            parts.append("Nothing but the settings explains the difference.")
+        case "named" if sure == found:
+            count = "they have names" if len(found) > 1 else "it has a name"
+            parts.append(f"Something is missing from the simulation, and {count}: {listed(found)}.")
+        case "named":
+            parts.append(f"Something is missing from the simulation: {_each(d, found)}.")
+        case "class" if not found and any([] in c["members"] for c in d["classes"]):
+            choice = next(c["members"] for c in d["classes"] if [] in c["members"])
+            others = " or ".join(" with ".join(m) for m in choice if m)
+            parts.append(f"These {words.recordings} cannot tell whether something is missing: nothing, or {others}.")
+        case "class":
+            parts.append(
+                f"Something is missing from the simulation, and these {words.recordings} leave a choice of what it is."
+            )
+            parts += [f"In any case: {_each(d, found)}."] if found else []
+        case "located":
+            element = d["location"]["element"]
+            if found:
+                parts.append(f"Something is missing from the simulation: {_each(d, found)}.")
+                parts.append(f"Beside it, what has no name in the catalogue sits in the {element}.")
+            else:
+                parts.append(f"Something is missing in the {element}, and no effect of the catalogue explains it.")
+        case _:
+            if found:
+                parts.append(f"Something is missing from the simulation: {_each(d, found)}.")
+                parts.append("What is left beside it has neither a name nor a place.")
+            else:
+                parts.append("Something is missing from the simulation; neither its name nor its place can be told.")
+    if settings is not None:
+        size = settings["parameters"]["scale"]
+        parts.append(
+            f"The settings were off by {size['value']:.1f} ± {size['sigma']:.1f} times what the file states as their "
+            f"uncertainty ({settings['confidence']})."
+        )
+    return " ".join(parts)
+
+
+def _each(d: Json, names: Sequence[str]) -> str:
+    """Names with their confidence where it is not "named"."""
+    said = {f["name"]: f["confidence"] for f in d["effects"]}
+    return listed([n if said[n] == "named" else f"{n} ({said[n]})" for n in names])
+
+
+def leftover(d: Json, words: Vocabulary = BENCH) -> str:
+    """What is left of each family without changing the verdict, with its size; empty where nothing is."""
+    rows = []
+    for x in d.get("left", ()):
+        name, unit = words.kinds.get(x["family"], (x["family"], ""))
+        if x["family"] == "pulls":
+            rows.append("something that all settings share, in their errors")
+        elif x["rms_mm"] is not None and unit != "mm":
+            rows.append(f"{x['rms_mm']:.2g} mm of something smooth in the {name}")
+        elif x["rms"] is not None:
+            rows.append(f"{x['rms']:.2g} {unit} of something smooth in the {name}".replace("  ", " "))
+        else:
+            rows.append(f"something smooth in the {name}")
+    return f"Left: {listed(rows)}." if rows else ""
+
+
+def contradictions(d: Json) -> list[str]:
+    """Statements of a diagnosis that cannot all hold, in sentences; empty where there is none."""
+    out = []
+    found = {f["name"]: f["confidence"] for f in d["effects"]}
+    members = {n for c in d["classes"] for m in c["members"] for n in m}
+    verdict, names = d["verdict"], [f["name"] for f in d["effects"]]
+    if verdict == "nothing-missing" and (found or d["classes"]):
+        out.append("nothing is missing, and something was found")
+    if verdict == "nothing-missing" and d["probability"].get(SETTINGS, 0.0) >= 0.05:
+        out.append("nothing is missing, and the settings are further off than stated")
+    if verdict == "named" and not found:
+        out.append("named, and nothing has a name")
+    if verdict in ("named", "nothing-missing") and d["classes"]:
+        out.append(f"{verdict}, and alternatives are open")
+    if verdict == "class" and not d["classes"]:
+        out.append("alternatives are open, and there are none")
+    if verdict == "located" and not (d["location"] or {}).get("claimed"):
+        out.append("located, and no place is claimed")
+    out += [f"{n} is in a class and said for itself" for n in members & set(found)]
+    out += [f"{n} is said twice" for n in set(names) if names.count(n) > 1]
+    out += [f"{n} was found and its limit is stated" for n in d["limits"] if n.split(".")[0] in {*found}]
+    text = " ".join([headline(d), leftover(d), *d["notes"], *(f["says"] for f in d["effects"])])
+    out += [f"'{word}' in a sentence" for word in (" nan", " inf", "-inf") if word in f" {text}"]
+    suspected = [n.split(" is suspected")[0] for n in d["notes"] if " is suspected" in n]
+    out += [f"{n} is suspected and was found" for n in suspected if n in found]
+    return out

@@ -1,0 +1,391 @@
+"""The diagnosis in plain sentences, for a person at the bench; nothing is computed here."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import exp, floor, isfinite, log, log10
+from textwrap import fill
+
+from benchsim.bench.units import IN_TEXT
+from benchsim.diagnosis.problem import Effect
+from benchsim.diagnosis.result import Diagnosis, Found, Limit, Size, SplitBy
+from benchsim.reports.conclusion import CONFIDENCE, headline, leftover, listed
+from benchsim.reports.vocabulary import BENCH, Vocabulary
+
+WIDTH = 100
+
+SIMULATION = {
+    "bench": "the bench as the file states it",
+    "vector": "the paper's vector model (no facets, a single ray, no diffraction)",
+    "mount": "the mount as the files state it",
+}
+
+
+@dataclass(frozen=True)
+class About:
+    """What the text says of the recording beside what was found.
+
+    Attributes
+    ----------
+    title : str
+    exposures, settings : int
+        Used.
+    against : {"bench", "vector", "mount"}
+    catalogue : sequence of Effect
+        The candidates.
+    lost : sequence of str
+        One sentence for each exposure that was dropped.
+    remarks : sequence of str
+        One sentence for each thing about the recording that limits what can be told.
+    defaults : sequence of str
+        ``key = value`` of every default taken.
+    amended : str
+        One sentence on the file that holds what was found; empty: none.
+    words : Vocabulary
+    """
+
+    title: str
+    exposures: int
+    settings: int
+    against: str
+    catalogue: Sequence[Effect]
+    lost: Sequence[str] = ()
+    remarks: Sequence[str] = ()
+    defaults: Sequence[str] = ()
+    amended: str = ""
+    words: Vocabulary = BENCH
+
+
+def summary(d: Diagnosis, about: About) -> str:
+    """What is missing, where, what it is, how large, and what to do; or how large it would have had to be.
+
+    Parameters
+    ----------
+    d : Diagnosis
+    about : About
+
+    Returns
+    -------
+    str
+        Paragraphs of at most 100 columns.
+    """
+    words = about.words
+    count = number(about.exposures, words.one)
+    if words is BENCH:
+        count += f" of {number(about.settings, 'setting')}"
+    parts = [f"{about.title}: {count}, against {SIMULATION.get(about.against, about.against)}."]
+    parts.append(_headline(d, words))
+    parts += [_found(f, words) for f in d.effects]
+    parts += list(_classes(d, about))
+    parts += list(_where(d, words))
+    parts += list(_better(d, words))
+    parts += list(_next(d))
+    parts += list(_limits(d, about))
+    parts += list(_settings(d, words))
+    parts += [_wrapped(f"Dropped: {sentence}") for sentence in about.lost]
+    if about.remarks or d.notes:
+        parts.append("\n".join(_item(sentence) for sentence in (*about.remarks, *d.notes)))
+    if about.defaults:
+        parts.append(defaults_text(about.defaults))
+    if about.amended:
+        parts.append(_wrapped(about.amended))
+    return "\n\n".join(parts)
+
+
+def defaults_text(defaults: Sequence[str]) -> str:
+    """Defaults taken, those of several exposures together: ``exposure[1, 2, 4].time_s = 0.0``."""
+    grouped: dict[tuple[str, str], list[str]] = {}
+    for text in defaults:
+        table, bracket, rest = text.partition("[")
+        number, close, key = rest.partition("]")
+        if table == "exposure" and bracket and close:
+            grouped.setdefault((table, key), []).append(number)
+        else:
+            grouped[text, ""] = []
+    words = [f"{start}[{', '.join(n)}]{key}" if n else start for (start, key), n in grouped.items()]
+    return fill(f"Defaults taken for what the file leaves out: {'; '.join(words)}.", WIDTH, break_long_words=False)
+
+
+def rounded(size: Size) -> str:
+    """``value ± sigma unit`` with two digits of sigma: ``0.0310 ± 0.0009 1/m``."""
+    if not isfinite(size.sigma) or size.sigma <= 0:
+        return f"{size.value:.3g} {unit_text(size.unit)}".rstrip()
+    digits = max(0, 1 - floor(log10(size.sigma)))
+    return f"{size.value:.{digits}f} ± {size.sigma:.{digits}f} {unit_text(size.unit)}".rstrip()
+
+
+def percent(p: float) -> str:
+    """A probability that is never said to be 0 or 1."""
+    if p > 0.9999:
+        return "above 99.99 %"
+    return "below 0.01 %" if p < 1e-4 else f"{100 * p:.4g} %"
+
+
+def together(p: float) -> str:
+    """The probability of a class. What is stated may be what predicts best though evidence alone favours others."""
+    return f"together {percent(p)}" + (", other sets more by evidence alone" if p < 0.5 else "")
+
+
+def odds(margin: float) -> str:
+    """A difference of ln Z as odds."""
+    if margin > log(1e6):
+        return "odds of more than a million to 1"
+    return f"odds of {exp(max(margin, 0.0)):.3g} to 1"
+
+
+def unit_text(unit: str) -> str:
+    """A unit as text shows it; see `bench.units`."""
+    return IN_TEXT.get(unit, unit)
+
+
+def number(n: int, noun: str) -> str:
+    """``1 exposure``, ``2 exposures``."""
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
+def _wrapped(text: str, indent: str = "") -> str:
+    return fill(
+        text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def _item(text: str) -> str:
+    return fill(
+        text, WIDTH, initial_indent="- ", subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
+
+
+def _headline(d: Diagnosis, words: Vocabulary) -> str:
+    """The verdict, its first words in capitals: the eye is to find it."""
+    plain = d.as_dict()
+    first, rest = re.split(r"(?<=missing)|(?<=settings)", headline(plain, words), maxsplit=1)
+    tail = " What would have been seen is listed below." if d.verdict == "nothing-missing" else ""
+    left = leftover(plain, words)
+    return _wrapped(first.upper() + rest + tail + (f" {left}" if left else ""))
+
+
+def _found(f: Found, words: Vocabulary) -> str:
+    lines = [f"{f.name} ({f.element}; {CONFIDENCE[f.confidence]}; probability {percent(f.probability)})"]
+    lines.append(_wrapped(f.says, "  "))
+    sizes = [f"{name} = {rounded(size)}" for name, size in f.parameters.items()]
+    lines.append(_wrapped("Size: " + ", ".join(sizes) + " (1 sigma).", "  "))
+    if f.remedy:
+        lines.append(_wrapped(f"{words.remedy}: {f.remedy}", "  "))
+    return "\n".join(lines)
+
+
+def _classes(d: Diagnosis, about: About) -> Iterator[str]:
+    known = {e.name: e for e in about.catalogue}
+    for c in d.classes:
+        lines = [f"One of these {len(c.members)}, {together(c.probability)}; amended.toml states the first:"]
+        for member in c.members:
+            if not member:
+                lines.append("  - nothing else" if d.effects or len(d.classes) > 1 else "  - nothing")
+                continue
+            says = " ".join(known[name].says for name in member if name in known)
+            text = f"{' with '.join(member)}: {says}" if says else " with ".join(member)
+            lines.append(fill(text, WIDTH, initial_indent="  - ", subsequent_indent="    ", break_on_hyphens=False))
+        if c.split_by is not None:
+            s = c.split_by
+            lines.append(_wrapped(f"To tell them apart: {_ended(s.what)} It separates them by {_sigma(s)}.", "  "))
+        else:
+            lines.append(_wrapped("Nothing that was considered would tell them apart.", "  "))
+        yield "\n".join(lines)
+
+
+def several(element: str) -> bool:
+    """Whether a location lists the elements of several effects, ``mirror + screen``, instead of saying which one."""
+    return " + " in element
+
+
+def place_text(element: str, coordinate: str) -> str:
+    """``in the camera, as a function of image row``; ``in the mirror and the screen``."""
+    where = f"in {listed([f'the {e}' for e in element.split(' + ')])}"
+    return f"{where}, as a function of {coordinate}" if coordinate else where
+
+
+STANDS_OUT = 3.0
+"""Sigma from which on a kind of datum is said to show what was found."""
+
+
+def shown_text(by_kind: Mapping[str, float], words: Vocabulary, stretches: int) -> str:
+    """``It shows in marks (12.1 sigma), all exposures together; no single stretch of a trace stands out.``"""
+    seen = sorted((k for k in by_kind if by_kind[k] >= STANDS_OUT), key=lambda k: -by_kind[k])
+    if not seen:
+        return ""
+    each = listed([f"{words.kinds.get(k, (k, ''))[0]} ({by_kind[k]:.1f} sigma)" for k in seen])
+    alone = "" if stretches else "; no single stretch stands out"
+    return f"It shows in {each}, all {words.one}s together{alone}."
+
+
+def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
+    where = d.location
+    if where is None:
+        return
+    lines = []
+    place = place_text(where.element, where.coordinate)
+    if where.claimed:
+        lines.append(_wrapped(f"Where: {place} ({odds(where.margin)} over every other element)."))
+    elif several(where.element):
+        lines.append(_wrapped(f"Where: {place}, by what was named."))
+    else:
+        lines.append(
+            _wrapped(f"Where: most likely {place}; {odds(where.margin)} over the next element do not settle it.")
+        )
+    shown = shown_text(where.by_kind, words, len(where.along_trace))
+    if shown:
+        lines.append(_wrapped(shown, "  "))
+    for s in sorted(where.along_trace, key=lambda s: -s.z)[:6]:
+        lines.append(f"  {s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace, {s.z:.1f} sigma")
+    if len(where.along_trace) > 6:
+        lines.append(f"  and {len(where.along_trace) - 6} weaker stretches (diagnosis.json lists them)")
+    if d.law is not None:
+        if d.law.terms:
+            terms = ", ".join(f"{value:.3g} · {term}" for term, value in d.law.terms.items())
+            form = f"a law in {d.law.coordinate} ({terms})"
+        else:
+            form = f"a smooth function of {d.law.coordinate}"
+        lines.append(
+            _wrapped(
+                f"Until its cause is known, {form} stands in for it: of the misfit of {words.setting}s left out it "
+                f"removes {100 * min(d.law.held_out_gain, 1.0):.0f} ± {100 * d.law.gain_sigma:.0f} %.",
+                "  ",
+            )
+        )
+    yield "\n".join(lines)
+
+
+def removed(part: float) -> str:
+    """A part of a misfit as words have it: noise can make it more than all."""
+    return "all" if part > 0.9995 else f"{100 * part:.1f} %"
+
+
+OVERSTATED = 3.0
+"""Sigma below zero at which an excess χ² says that the noise is less than was estimated."""
+
+
+def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
+    if d.verdict == "nothing-missing":
+        rows = [
+            f"{words.kinds.get(k, (k, ''))[0]} {a:.3g} {words.kinds.get(k, (k, ''))[1]}".rstrip()
+            for k, (_, a) in d.rms.items()
+        ]
+        if rows:
+            start = f"The simulation fits the {words.recordings} to "
+            yield _wrapped(start + ", ".join(rows) + " rms, settings fitted.")
+    else:
+        rows = [
+            f"{words.kinds.get(k, (k, ''))[0]} {b:.3g} → {a:.3g} {words.kinds.get(k, (k, ''))[1]}".rstrip()
+            for k, (b, a) in d.rms.items()
+            if isfinite(b) and isfinite(a)
+        ]
+        if rows:
+            yield _wrapped("Residuals before → after, rms, settings fitted: " + ", ".join(rows) + ".")
+    held = d.held_out
+    if held is None:
+        return  # fewer than three settings, as the notes say
+    before, after = held.excess_chi2_before, held.excess_chi2_after
+    start = f"Left out in turn ({held.folds} folds, {held.data} data) and predicted from the other {words.setting}s, "
+    if d.verdict == "nothing-missing":
+        yield _wrapped(
+            start + f"the recordings miss the prediction by an excess χ² of {before:.0f} ± {held.sigma:.0f} beyond "
+            "noise and setting errors."
+        )
+        return
+    text = start + f"the {words.recordings}' misfit beyond noise and setting errors (excess χ²) falls from "
+    text += f"{before:.0f} to {after:.0f} "
+    text += f"(± {held.sigma:.0f})"
+    if after < -OVERSTATED * held.sigma:
+        text += "; below zero by more than its scatter, so that the noise is overstated and no gain can be given."
+    elif held.fraction_removed is not None and before > 2 * held.sigma:
+        text += f": {removed(held.fraction_removed)} of it is removed."
+    else:
+        text += "; before, it was within its scatter, so that these recordings show no gain."
+    yield _wrapped(text)
+
+
+def _sigma(s: SplitBy) -> str:
+    return f"{s.separation_sigma:.1f} sigma" if s.separation_sigma < 20 else f"{s.separation_sigma:.0f} sigma"
+
+
+def _ended(text: str) -> str:
+    return text if text.endswith((".", "!", "?")) else text + "."
+
+
+def _next(d: Diagnosis) -> Iterator[str]:
+    if not d.next:
+        return
+    best = d.next[0]
+    lines = [_wrapped(f"Next: {_ended(best.what)} It separates what is still open by {_sigma(best)}.")]
+    for s in d.next[1:3]:
+        lines.append(_wrapped(f"or: {_ended(s.what)} ({_sigma(s)})", "  "))
+    yield "\n".join(lines)
+
+
+def _limits(d: Diagnosis, about: About) -> Iterator[str]:
+    """All of them where nothing was found; else those that could not be seen at all, and those of physics that the
+    simulation leaves out as a whole: whoever puts it in doubt asks after each of them."""
+    seen = {k: v for k, v in d.limits.items() if v.reachable}
+    open_ = {*(f.name for f in d.effects), *(name for c in d.classes for member in c.members for name in member)}
+    blind = {k: v for k, v in d.limits.items() if not v.reachable and k.split(".")[0] not in open_}
+    if d.verdict != "nothing-missing":
+        whole = {e.name for e in about.catalogue if e.whole} - open_
+        seen = {k: v for k, v in seen.items() if k.split(".")[0] in whole}
+    if d.verdict == "nothing-missing" and seen:
+        lines = ["Each of these would have been seen at five sigma had it been as large as:"]
+        lines += limit_rows(seen)
+        yield "\n".join(lines)
+    elif seen:
+        words = ", ".join(f"{k.split('.')[0]} ({size_text(v)})" for k, v in seen.items())
+        yield _wrapped(f"Not found, and would have been seen at five sigma had it been as large as: {words}.")
+    if blind:
+        start = "Cannot be seen in these recordings at any plausible size: "
+        yield _wrapped(start + ", ".join(f"{k.split('.')[0]} ({size_text(v)} needed)" for k, v in blind.items()) + ".")
+    told = {k.split(".")[0] for k in (*seen, *blind)}
+    if shaped := shapes_text([e for e in about.catalogue if e.name in told]):
+        yield _wrapped(f"{shaped} at one point of these only, the most probable that was tried.")
+
+
+def shapes_text(catalogue: Sequence[Effect]) -> str:
+    """Begins a sentence on the limits of effects that have a shape beside their size; empty where none has."""
+    shapes = {e.name: [p.name for p in e.parameters if len(p.grid) > 1] for e in catalogue}
+    words = [f"{name} ({', '.join(own)})" for name, own in shapes.items() if own]
+    return f"What is said here of {listed(words)} holds" if words else ""
+
+
+def size_text(v: Limit) -> str:
+    """``bow_z = 0.0042 1/m``."""
+    if not isfinite(v.five_sigma):
+        return f"{v.parameter}: no size is enough"
+    return f"{v.parameter} = {_short(v.five_sigma)} {unit_text(v.unit)}".rstrip()
+
+
+def _short(x: float) -> str:
+    """Three digits, without an exponent between 1e-4 and 1e5."""
+    return f"{x:.3g}" if not 1e3 <= abs(x) < 1e5 else f"{x:.0f}"
+
+
+def limit_rows(limits: Mapping[str, Limit]) -> list[str]:
+    """Two limits to a line, in the order given; keys are ``effect`` or ``effect.parameter``."""
+    cells = [f"{name.split('.')[0]:<22}{size_text(v)}" for name, v in limits.items()]
+    half = (len(cells) + 1) // 2
+    right = [*cells[half:], ""]
+    return [f"  {a:<50}{b}".rstrip() for a, b in zip(cells[:half], right, strict=False)]
+
+
+def _settings(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
+    text = []
+    if d.sigma_scale > 1.15:
+        text.append(f"The noise is {d.sigma_scale:.2f} times {words.noise}.")
+    if d.correlation > 0:
+        text.append(f"Neighbouring points err together over {d.correlation:.2g} mm.")
+    far = sorted(
+        ((k, v) for k, v in d.pulls.items() if abs(v) > 3 and not k.startswith("drift.")), key=lambda kv: -abs(kv[1])
+    )
+    if far:
+        listed = ", ".join(f"{k} ({v:+.1f} sigma)" for k, v in far[:5])
+        text.append(f"Far from where it was set: {listed}.")
+    if text:
+        yield _wrapped(" ".join(text))

@@ -1,0 +1,213 @@
+"""The report page: one HTML file of a finished run, diagnosis or trial, for a person to read.
+
+The file holds everything it shows, photographs and drawings included; it fetches nothing, and without JavaScript only
+the slider over the photographs is lost: the two pictures then stand side by side.
+
+Beside the results (``diagnosis.json``, ``validation.json``, a trial's score) the page of a recording takes what those
+do not hold, the mapping in ``page.json``::
+
+    {"format": "benchsim-page/1",
+     "title": "known-six", "settings": 5,
+     "instrument": "bench", "unit": "mm",                      # optional; "mount" with "arcsec" or "mrad"
+     "states": {"before": "without what was found", "after": "with what was found"},   # ends of the slider
+     "catalogue": [{"name": "screen-bow", "element": "screen", "says": "The board is bent …"}],
+     "exposures": [{"exposure": "001.png", "setting": "s1",
+                    "photograph": "photographs/1.jpg",        # or null
+                    "size_px": [2000, 1500],                  # of the photograph as it was taken
+                    "same": false,                            # whether nothing was put in
+                    "measured_px": [[u, v], …], "before_px": [[u, v], …], "after_px": [[u, v], …],
+                    "s_mm": […],                              # along the trace, growing, for all that follows
+                    "residual_mm": {"before": […], "after": […], "held_out_before": […], "held_out_after": […]},
+                    "sigma_mm": […], "sigma_alone_mm": […]}]} # with and without what neighbours have in common
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from functools import cache
+from math import hypot, isfinite
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from benchsim.reports import page_field, page_plots, page_trial, page_words, vocabulary
+
+FORMAT = "benchsim-page/1"
+
+MOST_SHOWN = 12
+"""Photographs in a page, those of the largest misfit: more would make the file slow to open on a phone."""
+
+APART = 0.05
+"""Largest distance of trace and prediction in the drawing, as a part of the picture's diagonal."""
+
+LEAST_ENLARGED, MOST_ENLARGED = 5.0, 1000.0
+"""What is seen without is drawn to scale; a trace that fits to some µm is not blown up until its noise looks like a
+misfit."""
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("benchsim.reports"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters.update(page_words.FILTERS)
+    return environment
+
+
+def diagnosis_page(
+    diagnosis: Mapping[str, Any],
+    extra: Mapping[str, Any],
+    photographs: Mapping[str, bytes],
+    stamp: Mapping[str, Any],
+    pixels: Mapping[str, Any] | None = None,
+) -> str:
+    """HTML of a diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        ``diagnosis.json``.
+    extra : mapping
+        ``page.json``.
+    photographs : mapping
+        JPEG by the name that ``extra`` gives it.
+    stamp : mapping
+        ``benchsim.json``.
+    pixels : mapping, optional
+        ``pixels.json``.
+    """
+    return _environment().get_template("diagnosis.html.j2").render(
+        d=diagnosis,
+        pixels=pixels,
+        words=page_words.diagnosis(diagnosis, extra),
+        elements=page_words.probabilities(diagnosis, extra),
+        **_recording(extra, photographs, stamp),
+    )  # fmt: skip
+
+
+def validation_page(
+    validation: Mapping[str, Any],
+    conics: Mapping[str, Any],
+    extra: Mapping[str, Any],
+    photographs: Mapping[str, bytes],
+    stamp: Mapping[str, Any],
+) -> str:
+    """HTML of a run or a validation: the traces against the vector model, and their conics.
+
+    Parameters
+    ----------
+    validation, conics : mapping
+        ``validation.json`` and ``conics.json``.
+    extra, photographs, stamp
+        As in `diagnosis_page`.
+    """
+    return _environment().get_template("validation.html.j2").render(
+        v=validation,
+        conics=conics,
+        words=page_words.validation(validation),
+        **_recording(extra, photographs, stamp, before=False),
+    )  # fmt: skip
+
+
+def trial_page(score: Mapping[str, Any], stamp: Mapping[str, Any]) -> str:
+    """HTML of a concealed trial that was opened.
+
+    Parameters
+    ----------
+    score : mapping
+        In the form of `page_trial`.
+    stamp : mapping
+        ``benchsim.json``, or an empty mapping.
+    """
+    return _environment().get_template("trial.html.j2").render(stamp=stamp, **page_trial.shown(score))
+
+
+def field_page(field: Mapping[str, Any], title: str, shared: Sequence[str]) -> str:
+    """HTML of a field of heliostats.
+
+    Parameters
+    ----------
+    field : mapping
+        ``field.json``.
+    title : str
+    shared : sequence of str
+        What all share, a sentence each.
+    """
+    return (
+        _environment()
+        .get_template("field.html.j2")
+        .render(title=title, shared=shared, stamp={}, **page_field.shown(field))
+    )
+
+
+def _recording(
+    extra: Mapping[str, Any], photographs: Mapping[str, bytes], stamp: Mapping[str, Any], before: bool = True
+) -> dict[str, Any]:
+    """What every page of a recording shows: pictures with curves, and residuals, those before only where wanted."""
+    exposures = extra["exposures"]
+    factor = enlarged(exposures)
+    pictures = [_picture(x, photographs[x["photograph"]], factor) for x in exposures if x["photograph"] in photographs]
+    pictures.sort(key=lambda p: -p["worst"])
+    return {
+        "extra": extra,
+        "stamp": stamp,
+        "factor": factor,
+        "left_away": max(0, len(pictures) - MOST_SHOWN),
+        "pictures": pictures[:MOST_SHOWN],
+        "residuals": [
+            {
+                "name": x["exposure"],
+                "setting": x["setting"],
+                "same": x["same"],
+                "figure": page_plots.residuals(x, before, vocabulary.of(extra)),
+            }
+            for x in exposures
+        ],
+        "held_out": any(v is not None for x in exposures for v in x["residual_mm"]["held_out_after"]),
+    }
+
+
+def enlarged(exposures: Sequence[Mapping[str, Any]]) -> float:
+    """Round factor by which distances of trace and prediction are drawn too large, one for all pictures of a page."""
+    widest = max((_worst(x) / hypot(*x["size_px"]) for x in exposures), default=0.0)
+    factor = page_plots.nice(APART / widest) if widest > 0 else 1.0
+    return min(factor, MOST_ENLARGED) if factor >= LEAST_ENLARGED else 1.0
+
+
+def _worst(exposure: Mapping[str, Any]) -> float:
+    """Largest distance of trace and prediction [px]."""
+    measured = exposure["measured_px"]
+    away = (
+        hypot(u - a, v - b)
+        for which in ("before_px", "after_px")
+        for (u, v), (a, b) in zip(exposure[which], measured, strict=True)
+    )
+    return max(away, default=0.0)
+
+
+def _picture(exposure: Mapping[str, Any], jpeg: bytes, factor: float) -> dict[str, Any]:
+    """Paths over a photograph, in its own pixels, distances from the measured trace drawn ``factor`` times."""
+    measured = exposure["measured_px"]
+
+    def away(points: Sequence[Sequence[float]]) -> str:
+        moved = [(a + factor * (u - a), b + factor * (v - b)) for (u, v), (a, b) in zip(points, measured, strict=True)]
+        return page_plots.polyline(p for p in moved if all(map(isfinite, p)))
+
+    return {
+        "name": exposure["exposure"],
+        "setting": exposure["setting"],
+        "width": exposure["size_px"][0],
+        "height": exposure["size_px"][1],
+        "same": exposure["same"],
+        "worst": _worst(exposure),
+        "jpeg": Markup("data:image/jpeg;base64," + base64.b64encode(jpeg).decode("ascii")),
+        "measured": page_plots.polyline(measured),
+        "before": away(exposure["before_px"]),
+        "after": away(exposure["after_px"]),
+    }

@@ -1,0 +1,125 @@
+"""What is concluded is said once, and nothing that is said contradicts another thing."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchsim.reports.conclusion import contradictions, headline, leftover
+
+KEPT = sorted((Path(__file__).parents[2] / "analysis" / "trial" / "kept" / "verdicts").glob("*/diagnosis.json"))
+
+
+def effect(name, confidence="named", **parameters):
+    sizes = {k: {"value": v, "sigma": abs(v) / 10, "unit": "1"} for k, v in parameters.items()}
+    return {
+        "name": name,
+        "element": "x",
+        "confidence": confidence,
+        "probability": 0.99,
+        "parameters": sizes,
+        "says": "",
+    }
+
+
+def diagnosis(verdict, effects=(), classes=(), left=(), **also):
+    return {
+        "verdict": verdict,
+        "effects": list(effects),
+        "classes": [{"members": [list(m) for m in c]} for c in classes],
+        "location": None,
+        "left": list(left),
+        "notes": [],
+        "limits": {},
+        "probability": {},
+        **also,
+    }
+
+
+BOW, TILT = effect("screen-bow"), effect("screen-tilt", "provisional")
+HANDS = effect("setting-errors", scale=2.9)
+HERE = {"element": "camera", "claimed": True}
+
+SAID = [
+    (diagnosis("nothing-missing"), "Nothing is missing that these recordings could show."),
+    (diagnosis("named", [BOW]), "Something is missing from the simulation, and it has a name: screen-bow."),
+    (
+        diagnosis("named", [BOW, TILT]),
+        "Something is missing from the simulation: screen-bow and screen-tilt (provisional).",
+    ),
+    (
+        diagnosis("named", [HANDS]),
+        "Nothing but the settings explains the difference. The settings were off by 2.9 ± 0.3 times what the file "
+        "states as their uncertainty (named).",
+    ),
+    (
+        diagnosis("class", [], [[[], ["beam-offset"], ["setting-errors"]]]),
+        "These recordings cannot tell whether something is missing: nothing, or beam-offset or setting-errors.",
+    ),
+    (
+        diagnosis("class", [BOW], [[["coma"], ["astigmatism"]]]),
+        "Something is missing from the simulation, and these recordings leave a choice of what it is. In any case: "
+        "screen-bow.",
+    ),
+    (
+        diagnosis("located", [TILT], location=HERE),
+        "Something is missing from the simulation: screen-tilt (provisional). Beside it, what has no name in the "
+        "catalogue sits in the camera.",
+    ),
+    (
+        diagnosis("unexplained", [BOW]),
+        "Something is missing from the simulation: screen-bow. What is left beside it has neither a name nor a place.",
+    ),
+    (
+        diagnosis("unexplained"),
+        "Something is missing from the simulation; neither its name nor its place can be told.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("d", "said"), SAID, ids=[d["verdict"] for d, _ in SAID])
+def test_the_headline_says_what_was_found_and_what_is_left(d, said):
+    assert headline(d) == said
+    assert contradictions(d) == []
+
+
+def test_what_is_left_comes_with_its_size():
+    left = [
+        {"family": "m", "p": 0.008, "rms": 0.014, "rms_mm": 0.0042},
+        {"family": "c", "p": 1e-4, "rms": 0.02, "rms_mm": 0.02},
+        {"family": "f", "p": 1e-4, "rms": 0.003, "rms_mm": None},
+        {"family": "pulls", "p": 1e-4, "rms": None, "rms_mm": None},
+    ]
+    text = leftover(diagnosis("named", [BOW], left=left))
+    assert text.startswith(
+        "Left: 0.0042 mm of something smooth in the marks, 0.02 mm of something smooth in the centre"
+    )
+    assert "0.003 of something smooth in the logarithm of the flux" in text and "all settings share" in text
+    assert leftover(diagnosis("named", [BOW])) == ""
+
+
+@pytest.mark.parametrize(
+    "d",
+    [
+        diagnosis("nothing-missing", [BOW]),
+        diagnosis("nothing-missing", probability={"setting-errors": 0.3}),
+        diagnosis("named"),
+        diagnosis("class"),
+        diagnosis("named", [BOW], [[["coma"], ["astigmatism"]]]),
+        diagnosis("class", [BOW], [[["screen-bow"], ["coma"]]]),
+        diagnosis("located", location={"element": "camera", "claimed": False}),
+        diagnosis("named", [BOW], limits={"screen-bow": {}}),
+        diagnosis("named", [BOW], notes=["screen-bow is suspected, at a probability of 0.60."]),
+        diagnosis("named", [BOW], notes=["a margin of -inf"]),
+    ],
+)
+def test_a_contradiction_is_one(d):
+    assert contradictions(d)
+
+
+@pytest.mark.parametrize("path", KEPT, ids=lambda p: p.parent.name)
+def test_no_case_of_the_published_trial_contradicts_itself(path):
+    """The kept verdicts of 150 concealed cases, told again by today's sentences."""
+    d = json.loads(path.read_text())
+    assert [c for c in contradictions(d) if "further off" not in c] == []
+    assert "nan" not in headline(d) and headline(d)[-1] == "."

@@ -1,0 +1,127 @@
+"""The diagnosis in sentences: each verdict says what a person at the bench asks."""
+
+from dataclasses import replace
+
+import pytest
+
+from benchsim.diagnosis.problem import Effect, Parameter
+from benchsim.diagnosis.result import Limit, Location, Size
+from benchsim.reports.diagnosis_text import About, limit_rows, odds, percent, place_text, rounded, summary
+
+
+def about(made, **changes):
+    return replace(About("six recordings", 6, 3, "bench", made.problem.catalogue), **changes)
+
+
+@pytest.mark.parametrize("verdict", ["named", "nothing-missing", "class", "located", "unexplained"])
+def test_every_verdict_fits_a_terminal_and_begins_with_whether_anything_is_missing(made, verdicts, verdict):
+    text = summary(verdicts[verdict], about(made))
+    assert max(map(len, text.splitlines())) <= 100
+    head = text.split("\n\n")[1]
+    assert head.startswith("NOTHING IS MISSING" if verdict == "nothing-missing" else "SOMETHING IS MISSING")
+    assert ("screen-bow" in head) == (verdict == "named")
+
+
+def test_a_named_effect_comes_with_size_unit_remedy_place_and_gain(made):
+    text = summary(made.diagnosis, about(made))
+    for words in (
+        "screen-bow (screen; named; probability above 99.99 %)",
+        "bow_y = 0.03120 ± 0.00091 1/m",
+        "Put a straightedge across the board",
+        "It shows in marks (21.4 sigma) and centre line (11.3 sigma), all exposures together.",
+        "001.png: from 10 to 120 mm along the trace, 7.1 sigma",
+        "centre line 0.131 → 0.031 mm",
+        "from 5120 to 60 (± 41): 98.8 %",
+        "Roll the screen by 180°",
+        "s2.laser_azimuth (-3.4 sigma)",
+    ):
+        assert words in " ".join(text.split()), words
+
+
+def test_nothing_missing_lists_every_limit_and_says_which_effects_could_not_be_seen(made, verdicts):
+    text = summary(verdicts["nothing-missing"], about(made))
+    table = text.split("had it been as large as:")[1].split("\n\n")[0]
+    for name, limit in made.diagnosis.limits.items():
+        assert (name in table) == limit.reachable
+    blind = next(p for p in text.split("\n\n") if p.startswith("Cannot be seen"))
+    assert "window" in blind and "canting" not in blind
+
+
+SWITCHES = tuple(
+    Effect(name, "source", (Parameter(name, "1", 0.5, one_sided=True),), whole=True)
+    for name in ("facets", "finite-beam", "diffraction")
+)
+
+
+def test_physics_in_doubt_comes_with_its_limit_where_it_was_not_found(made, verdicts):
+    """Against the vector model each of the three is told with a size or with a limit, whatever the verdict."""
+    limits = {
+        "canting": Limit("pyr", 0.37, "mrad", True),
+        "facets": Limit("facets", 0.11, "1", True),
+        "finite-beam": Limit("beam", 0.22, "1", True),
+        "diffraction": Limit("fresnel", 1.4, "1", False),
+    }
+    known = about(made, against="vector", catalogue=(*made.problem.catalogue, *SWITCHES))
+    for verdict in ("named", "class", "located", "unexplained"):
+        text = " ".join(summary(replace(verdicts[verdict], limits=limits), known).split())
+        start = "Not found, and would have been seen at five sigma had it been as large as: "
+        assert f"{start}facets (facets = 0.11), finite-beam (beam = 0.22)." in text
+        assert "diffraction (fresnel = 1.4 needed)" in text and "pyr" not in text
+    rivals = replace(verdicts["class"].classes[0], members=(("facets",), ("finite-beam", "drift")))
+    text = summary(replace(verdicts["class"], limits=limits, classes=(rivals,)), known)
+    assert "Not found" not in text, "what may be there is not said to be absent"
+    nothing = summary(replace(verdicts["nothing-missing"], limits=limits), known)
+    assert "Not found" not in nothing and "beam = 0.22" in nothing
+
+
+def test_a_limit_that_holds_at_one_place_says_so(made, verdicts):
+    grid = (Parameter("plume", "mrad", 1.0), Parameter("plume_z", "mm", 1.0, grid=(-600.0, 0.0)))
+    known = about(made, catalogue=(*made.problem.catalogue, Effect("plume", "air", grid)))
+    for reachable in (True, False):
+        limits = {"canting": Limit("pyr", 0.3, "mrad", True), "plume": Limit("plume", 0.1, "mrad", reachable)}
+        text = " ".join(summary(replace(verdicts["nothing-missing"], limits=limits), known).split())
+        start = "What is said here of plume (plume_z) holds at one point of these only, the most probable "
+        assert start + "that was tried." in text
+    assert "What is said here of" not in summary(verdicts["nothing-missing"], known), "no limit of it is printed"
+    assert "What is said here of" not in summary(made.diagnosis, known)
+
+
+def test_a_place_in_several_elements_is_no_question_of_odds(made):
+    both = Location("mirror + screen", "", False, 0.0, ())
+    text = summary(replace(made.diagnosis, location=both), about(made))
+    assert "Where: in the mirror and the screen, by what was named." in text and "odds" not in text
+    assert place_text("camera", "image row") == "in the camera, as a function of image row"
+
+
+def test_a_class_lists_its_members_and_what_would_split_it(made, verdicts):
+    text = " ".join(summary(verdicts["class"], about(made)).split())
+    assert "- screen-tilt:" in text and "- tangential-distortion with drift:" in text
+    assert "Print marks. It separates them by 12.0 sigma." in text
+
+
+def test_few_settings_are_said_and_a_gain_within_scatter_is_no_gain(made):
+    d = replace(made.diagnosis, held_out=None, notes=("Fewer than three settings: none can be left out.",))
+    text = summary(d, about(made))
+    assert text.count("Fewer than three settings") == 1 and "Left out in turn" not in text
+    held = replace(made.diagnosis.held_out, excess_chi2_before=50.0, excess_chi2_after=10.0)
+    text = " ".join(summary(replace(made.diagnosis, held_out=held), about(made)).split())
+    assert "show no gain" in text and "80.0 %" not in text
+
+
+def test_lost_exposures_remarks_and_defaults_are_said(made):
+    text = summary(
+        made.diagnosis, about(made, lost=("004.png: no trace",), remarks=("One setting.",), defaults=("a.b = 1.0",))
+    )
+    assert "Dropped: 004.png: no trace" in text and "One setting." in text and "a.b = 1.0." in text
+
+
+def test_numbers_read_as_numbers():
+    assert rounded(Size(0.0312, 0.00091, "1/m")) == "0.03120 ± 0.00091 1/m"
+    assert rounded(Size(12.34, 3.2, "1e-3")) == "12.3 ± 3.2 ×10⁻³"
+    assert rounded(Size(0.97, 0.0, "1")) == "0.97"
+    assert percent(1.0) == "above 99.99 %" and percent(0.0) == "below 0.01 %" and percent(0.5) == "50 %"
+    assert odds(50) == "odds of more than a million to 1" and odds(0.0) == "odds of 1 to 1"
+    two = limit_rows(
+        {"beam-offset.bu": Limit("bu", float("inf"), "mm", False), "drift": Limit("dry", 1.0, "mm/h", True)}
+    )
+    assert two == [f"  {'beam-offset           bu: no size is enough':<50}{'drift':<22}dry = 1 mm/h"]

@@ -1,0 +1,278 @@
+"""The report page in a real browser, headless Chromium: seen on a phone and a desk, by keyboard, without network.
+
+Chromium is spoken to over a pipe in its DevTools protocol, so that keys are pressed and not simulated by a script, and
+every request is seen. Screenshots are kept in ``out/report/``. Without Chromium these tests skip; the parser's in
+``test_page.py`` still run.
+"""
+
+import base64
+import contextlib
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from benchsim.bench.writing import write_text
+from benchsim.reports import page
+
+ROOT = Path(__file__).resolve().parents[2]
+KEPT = ROOT / "out" / "report"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
+
+QUIET = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync --hide-scrollbars --remote-debugging-pipe"
+)
+WIDTHS = {"phone": 390, "desk": 1280}
+
+
+class Browser:
+    """One page of a headless Chromium: ``browser("Page.reload")`` sends a command of the DevTools protocol."""
+
+    def __init__(self, profile):
+        theirs, ours = os.pipe()
+        back, say = os.pipe()
+        # The protocol's pipe is file descriptors 3 and 4.
+        shell = f'exec "{CHROMIUM}" {QUIET} --user-data-dir="{profile}" 3<&{theirs} 4>&{say}'
+        self.process = subprocess.Popen(
+            ["bash", "-c", shell], pass_fds=(theirs, say), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        os.close(theirs)
+        os.close(say)
+        self.ours, self.back, self.rest, self.count, self.session = ours, back, b"", 0, None
+        self.events = []
+        target = self("Target.createTarget", url="about:blank")["targetId"]
+        self.session = self("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self("Page.enable")
+        self("Network.enable")
+        self("Log.enable")
+
+    def __call__(self, method, **params):
+        self.count += 1
+        asked = {"id": self.count, "method": method, "params": params}
+        if self.session:
+            asked["sessionId"] = self.session
+        os.write(self.ours, json.dumps(asked).encode() + b"\0")
+        while (answer := self.next()).get("id") != self.count:
+            self.events.append(answer)
+        assert "error" not in answer, answer
+        return answer["result"]
+
+    def next(self):
+        while b"\0" not in self.rest:
+            part = os.read(self.back, 1 << 20)
+            assert part, "Chromium went away"
+            self.rest += part
+        message, _, self.rest = self.rest.partition(b"\0")
+        return json.loads(message)
+
+    def close(self):
+        with contextlib.suppress(OSError):
+            os.close(self.ours)
+        self.process.terminate()
+        self.process.wait(10)
+        os.close(self.back)
+
+    def show(self, path, width=1280, scheme="light", scripts=True):
+        """Load a file in a window of a width; whatever it asks for is in ``events`` afterwards."""
+        phone = width < 600
+        self("Emulation.setDeviceMetricsOverride", width=width, height=844, deviceScaleFactor=1, mobile=phone)
+        # Without motion a place that is jumped to is there at once.
+        wanted = {"prefers-color-scheme": scheme, "prefers-reduced-motion": "reduce"}
+        self("Emulation.setEmulatedMedia", features=[{"name": k, "value": v} for k, v in wanted.items()])
+        self("Emulation.setTouchEmulationEnabled", enabled=phone)
+        self("Emulation.setScriptExecutionDisabled", value=not scripts)
+        self.events.clear()
+        self("Page.navigate", url=path.as_uri())
+        while not any(e.get("method") == "Page.loadEventFired" for e in self.events):
+            self.events.append(self.next())
+
+    def value(self, expression):
+        answer = self("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def press(self, key, code=0):
+        for kind in ("rawKeyDown", "keyUp"):
+            self("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
+
+    def picture(self, keep):
+        """Screenshot of the whole page as an array, kept under a name."""
+        size = self("Page.getLayoutMetrics")["cssContentSize"]
+        clip = {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}
+        data = base64.b64decode(self("Page.captureScreenshot", captureBeyondViewport=True, clip=clip)["data"])
+        KEPT.mkdir(parents=True, exist_ok=True)
+        (KEPT / f"{keep}.png").write_bytes(data)
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    b = Browser(tmp_path_factory.mktemp("profile"))
+    yield b
+    b.close()
+
+
+@pytest.fixture(scope="module")
+def report(made, tmp_path_factory):
+    """The page of the diagnosis made by hand, with one grey photograph for all."""
+    jpeg = cv2.imencode(".jpg", np.full((300, 400), 90, np.uint8))[1].tobytes()
+    extra = made.beside()
+    photographs = {x["photograph"]: jpeg for x in extra["exposures"]}
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    write_text(path, page.diagnosis_page(made.plain(made.diagnosis), extra, photographs, {}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def opened(trial, tmp_path_factory):
+    """The page of the trial made by hand."""
+    path = tmp_path_factory.mktemp("trial") / "report.html"
+    write_text(path, page.trial_page(trial, {}))
+    return path
+
+
+@pytest.fixture(params=["diagnosis", "trial"])
+def either(request, report, opened):
+    return request.param, {"diagnosis": report, "trial": opened}[request.param]
+
+
+def asked(browser):
+    """What a page asked for beside itself, and what went wrong in it."""
+    urls = [e["params"]["request"]["url"] for e in browser.events if e.get("method") == "Network.requestWillBeSent"]
+    wrong = [
+        e["params"]["entry"]["text"]
+        for e in browser.events
+        if e.get("method") == "Log.entryAdded" and e["params"]["entry"]["level"] == "error"
+    ]
+    return [u for u in urls if not u.startswith(("file:", "data:"))], wrong
+
+
+@pytest.mark.parametrize("place", WIDTHS)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_is_seen_whole_without_network(browser, either, place, scheme):
+    name, path = either
+    browser.show(path, WIDTHS[place], scheme)
+    assert asked(browser) == ([], [])
+    assert browser.value("document.documentElement.scrollWidth") <= WIDTHS[place], "nothing hangs over the side"
+    small = (
+        "[...document.querySelectorAll('main p, main td, main th, main li, main dd, main text')]"
+        ".filter(e => e.getClientRects().length && !e.closest('small, [aria-hidden]'))"
+        ".map(e => parseFloat(getComputedStyle(e).fontSize) * (e.closest('svg.plot')"
+        " ? e.closest('svg').getBoundingClientRect().width / 360 : 1))"
+    )
+    assert min(browser.value(small)) > 9, "letters can be read"
+    picture = browser.picture(f"{name}-{place}-{scheme}")
+    assert picture.shape[1] == WIDTHS[place] and (picture[2, 2].mean() < 60) == (scheme == "dark")
+    top = picture[:200].reshape(-1, 3).astype(int)
+    assert np.ptp(top.mean(axis=1)) > 150, "the verdict stands out from the paper"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out_from_what_is_behind_it(browser, either, scheme):
+    """The contrast that WCAG 2 asks of text, 4.5 : 1."""
+    browser.show(either[1], 1280, scheme)
+    pairs = browser.value(
+        """[...document.querySelectorAll('main *, footer *')].filter(e => e.getClientRects().length
+          && !e.closest('svg') && [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim())).map(e => {
+            let behind = e;
+            const paper = e => getComputedStyle(e).backgroundColor;
+            while (behind !== document.body && paper(behind) === 'rgba(0, 0, 0, 0)') behind = behind.parentElement;
+            return [getComputedStyle(e).color, paper(behind), e.textContent.trim()];
+          })"""
+    )
+
+    def parts(css):
+        values = [float(x) for x in re.findall(r"[\d.]+", css)]
+        return np.array(values[:3]) / 255, (values[3] if len(values) > 3 else 1.0)
+
+    def luminance(c):
+        return float(np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
+
+    paper, _ = parts(browser.value("getComputedStyle(document.body).backgroundColor"))
+    assert len(pairs) > 80
+    for front, back, words in pairs:
+        behind, share = parts(back)
+        a, b = sorted((luminance(parts(front)[0]), luminance(share * behind + (1 - share) * paper)))
+        assert (b + 0.05) / (a + 0.05) >= 4.5, (words, front, back)
+
+
+def test_every_control_is_reached_and_moved_by_keyboard(browser, report):
+    browser.show(report)
+    cut = "getComputedStyle([...document.querySelectorAll('.two .last')].find(e => e.offsetParent)).clipPath"
+    start = browser.value(cut)
+    assert "50%" in start
+    reached = []
+    for _ in range(12):
+        browser.press("Tab", 9)
+        reached.append(browser.value("document.activeElement.type || document.activeElement.tagName"))
+    assert {"SUMMARY", "A", "radio", "range"} <= set(reached)
+    while browser.value("document.activeElement.type") != "range":
+        browser.press("Tab", 9)
+    outline = browser.value("getComputedStyle(document.activeElement).outlineStyle")
+    assert outline != "none", "who presses keys sees where"
+    for _ in range(5):
+        browser.press("ArrowRight", 39)
+    assert "55%" in browser.value(cut) and "55 %" in browser.value("document.activeElement.ariaValueText")
+    browser.press("Home", 36)
+    assert "0px 0px 0px 0%" in browser.value(cut) or browser.value(cut) == "inset(0px)"
+    before = browser.value("document.querySelector('.viewer input:checked').id")
+    browser.value("document.querySelector('.viewer input:checked').focus()")
+    browser.press("ArrowRight", 39)
+    after = browser.value("document.querySelector('.viewer input:checked').id")
+    shown = browser.value("[...document.querySelectorAll('.panel')].filter(e => e.offsetParent).length")
+    assert after != before and shown == 1
+
+
+def test_a_finger_moves_the_slider_on_the_picture(browser, report):
+    browser.show(report, 390)
+    browser.value("document.querySelector('.viewer').scrollIntoView()")
+    box = browser.value(
+        "(r => [r.left, r.top, r.width, r.height])(document.querySelector('.pictures').getBoundingClientRect())"
+    )
+    at = {"x": box[0] + 0.2 * box[2], "y": box[1] + 0.5 * box[3]}
+    browser("Input.dispatchTouchEvent", type="touchStart", touchPoints=[at])
+    browser("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    assert float(browser.value("document.querySelector('.slide input').value")) == pytest.approx(20, abs=1)
+
+
+def test_the_two_halves_of_the_picture_are_before_and_after(browser, report):
+    """Blue is the prediction before, green the one after, in the pixels that a person sees."""
+    browser.show(report)
+    clip = browser.value(
+        "(r => ({x: r.left + scrollX, y: r.top + scrollY, width: r.width, height: r.height, scale: 1}))"
+        "(document.querySelector('.pictures').getBoundingClientRect())"
+    )
+
+    def coloured(value):
+        slider = "document.querySelector('.slide input')"
+        browser.value(f"{slider}.value = {value}; {slider}.dispatchEvent(new Event('input'))")
+        data = base64.b64decode(browser("Page.captureScreenshot", captureBeyondViewport=True, clip=clip)["data"])
+        b, g, r = np.moveaxis(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).astype(int), 2, 0)
+        return int(((b - r > 120) & (b > g + 30)).sum()), int(((g - r > 90) & (g > b + 40)).sum())
+
+    blue, green = coloured(100)
+    assert blue > 200 and green == 0
+    blue, green = coloured(0)
+    assert blue == 0 and green > 200
+    half = coloured(50)
+    assert min(half) > 50
+
+
+def test_without_scripts_both_pictures_stand_there(browser, report):
+    browser.show(report, 1280, scripts=False)
+    picture = browser.picture("diagnosis-desk-no-script")
+    b, g, r = np.moveaxis(picture.astype(int), 2, 0)
+    rows = slice(0, picture.shape[0] // 2)
+    left = (np.abs(b - 0xFF) < 30) & (np.abs(g - 0xB4) < 30) & (np.abs(r - 0x58) < 40)
+    right = (np.abs(b - 0x8A) < 30) & (np.abs(g - 0xE0) < 30) & (np.abs(r - 0x4F) < 40)
+    assert left[rows].sum() > 100 and right[rows].sum() > 100
+    assert np.median(np.nonzero(left[rows])[1]) + 200 < np.median(np.nonzero(right[rows])[1])
