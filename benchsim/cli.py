@@ -6,8 +6,7 @@ import errno
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -19,8 +18,8 @@ from benchsim.bench.names import printable
 app = typer.Typer(
     help="A heliostat bench as software: render it, read it back, validate the vector model, diagnose what is missing.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # which would take [sections] of a file for markup, and cuts long options short
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -30,41 +29,20 @@ Outside = Annotated[bool, typer.Option("--allow-outside", help="Let the files na
 Variant = Annotated[str | None, typer.Option(help="Mitsuba's back end; default llvm_ad_mono, cuda_ad_mono with a GPU.")]
 
 
-@contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
-    """Progress bar on a terminal, silence in a pipe: yields report(what, fraction done)."""
-    if not sys.stderr.isatty():
-        yield lambda what, done: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda what, done: bar.update(task, description=printable(what), completed=done)
-
-
 def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
     """Run a job, print its result and return it; a complaint about the data is one sentence on stderr and exit 1."""
     from benchsim.bench.errors import BenchsimError
+    from benchsim.jobs.progress import bar
 
     try:
-        with _progress() as progress:
+        with bar() as progress:
             result = job(progress=progress, **options)
     except BenchsimError as error:
-        typer.echo(f"benchsim: {error}", err=True)
-        raise typer.Exit(1) from None
+        _complain(str(error), as_json)
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise
-        typer.echo(f"benchsim: {str(error.filename)[:60]}…: longer than names of files may be; shorten it", err=True)
-        raise typer.Exit(1) from None
+        _complain(f"{str(error.filename)[:60]}…: longer than names of files may be; shorten it", as_json)
     except KeyboardInterrupt as stop:
         typer.echo("benchsim: stopped; nothing is left half-written", err=True)
         raise typer.Exit(128 + (*stop.args, signal.SIGINT)[0]) from None
@@ -81,6 +59,23 @@ def _do(job: Callable[..., Any], as_json: bool, **options: Any) -> Any:
     return result
 
 
+def _complain(sentence: str, as_json: bool) -> NoReturn:
+    """What is wrong with the data: on stderr for a person, and on stdout for who asked for JSON."""
+    import json
+
+    if as_json:
+        typer.echo(json.dumps({"error": sentence}))
+    typer.echo(f"benchsim: {sentence}", err=True)
+    raise typer.Exit(1) from None
+
+
+def _folder(output: Path | None, source: Path, command: str) -> Path:
+    """Where a command writes: the folder that was said, or ./NAME-COMMAND/."""
+    from benchsim.jobs.output import default_folder
+
+    return output or default_folder(source, command)
+
+
 def _unprinted(error: OSError) -> NoReturn:
     """What a person reads if the output went nowhere; what is left in its buffer would fail again at the end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -88,8 +83,20 @@ def _unprinted(error: OSError) -> NoReturn:
     sys.exit(1)
 
 
+def _version(wanted: bool) -> None:
+    if wanted:
+        from benchsim import __version__
+
+        typer.echo(f"benchsim {__version__}")
+        raise typer.Exit()
+
+
 @app.callback()
-def _main() -> None:
+def _main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
     pass
 
 
@@ -103,7 +110,7 @@ def run(
     json: Json = False,
     variant: Variant = None,
 ) -> None:
-    """The main job: render (or take the recording's images), fit, validate, draw."""
+    """The main job: render (or take photographs), fit, validate, draw."""
     from benchsim import jobs
 
     _do(jobs.run, json, file=file, output=output, variant=variant, allow_outside=allow_outside)
@@ -138,8 +145,8 @@ def render(
     from benchsim import jobs
 
     _do(
-        jobs.render, json, bench=bench, output=output, seed=seed, effects=effect or [], noise=noise,
-        setting_errors=setting_errors, conceal=conceal, phone=phone, variant=variant,
+        jobs.render, json, bench=bench, output=_folder(output, bench, "render"), seed=seed, effects=effect or [],
+        noise=noise, setting_errors=setting_errors, conceal=conceal, phone=phone, variant=variant,
         allow_outside=allow_outside,
     )  # fmt: skip
 
@@ -157,7 +164,8 @@ def fit(
     """Photographs → marks → trace with error bars → conics."""
     from benchsim import jobs
 
-    _do(jobs.fit, json, source=source, output=output, pixels=pixels, allow_outside=allow_outside)
+    folder = _folder(output, source, "fit")
+    _do(jobs.fit, json, source=source, output=folder, pixels=pixels, allow_outside=allow_outside)
 
 
 @app.command()
@@ -167,10 +175,11 @@ def validate(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Compare the traces with the vector model, in mm on the screen and mrad of mirror normal."""
+    """Compare the traces with the vector model. In mm on the screen and mrad of mirror normal."""
     from benchsim import jobs
 
-    _do(jobs.validate, json, recording=recording, output=output, allow_outside=allow_outside)
+    folder = _folder(output, recording, "validate")
+    _do(jobs.validate, json, recording=recording, output=folder, allow_outside=allow_outside)
 
 
 class Against(StrEnum):
@@ -200,12 +209,12 @@ def diagnose(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Say what the simulation lacks: where, what, how large, and what to do; or what would have been seen."""
+    """Say what the simulation lacks: where, what, how large. And what to do about it; or what would have been seen."""
     from benchsim import jobs
 
     _do(
-        jobs.diagnose, json, recording=recording, output=output, against=against.value, pictures=pictures, tower=tower,
-        allow_outside=allow_outside,
+        jobs.diagnose, json, recording=recording, output=_folder(output, recording, "diagnose"), against=against.value,
+        pictures=pictures, tower=tower, allow_outside=allow_outside,
     )  # fmt: skip
 
 
@@ -244,7 +253,7 @@ def field(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Diagnose every heliostat of a field, and what they share; one that was stopped goes on."""
+    """Diagnose every heliostat of a field, and what they share. A field that was stopped goes on."""
     from benchsim import jobs
 
     _do(
@@ -273,7 +282,7 @@ def predict(
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the misses.")] = True,
     json: Json = False,
 ) -> None:
-    """By how much an amended mount misses in recordings that were not used; or motor positions that hit."""
+    """By how much an amended mount misses other recordings. With --aim, motor positions that hit."""
     from benchsim import jobs
 
     if (aim is None) != (time is None):
@@ -286,8 +295,8 @@ def predict(
         _do(jobs.aim, json, amended=amended, target=aim, time=time, tower=tower)
         return
     _do(
-        jobs.predict, json, amended=amended, recordings=recordings, output=output, tower=tower, aim=aim, time=time,
-        draw=pictures,
+        jobs.predict, json, amended=amended, recordings=recordings, output=_folder(output, recordings, "predict"),
+        tower=tower, aim=aim, time=time, draw=pictures,
     )  # fmt: skip
 
 
@@ -303,7 +312,7 @@ def export(
     tower: Tower = None,
     json: Json = False,
 ) -> None:
-    """Write an amended heliostat as a file that other simulations read."""
+    """Write an amended heliostat as a file for other simulations."""
     from benchsim import jobs
 
     if not paint:
@@ -321,7 +330,7 @@ def effects(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """List the effects of the catalogue, or those that a recording could detect and tell apart."""
+    """List the effects of the catalogue. With --for, those that a recording could detect and tell apart."""
     from benchsim import jobs
 
     _do(jobs.effects, json, recording=recording, output=output, against=against.value, allow_outside=allow_outside)
@@ -353,7 +362,7 @@ def board(
     over: Annotated[float, typer.Option("--over-mm", help="What was measured, as it was meant.")] = 100.0,
     json: Json = False,
 ) -> None:
-    """The calibrated screen to print, with its marks.csv; corrected by what the print measures."""
+    """The calibrated screen to print, with its marks.csv. Corrected by what the print measures."""
     from benchsim import jobs
 
     _do(
@@ -371,7 +380,7 @@ def report(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """One self-contained HTML file of a finished folder: verdict, photographs, residuals, probabilities."""
+    """One self-contained HTML file of a finished folder. Verdict, photographs, residuals, probabilities."""
     from benchsim import jobs
 
     _do(jobs.report, json, folder=folder, output=output, allow_outside=allow_outside)
@@ -380,6 +389,7 @@ def report(
 trial_app = typer.Typer(
     help="Concealed trials: is the diagnosis right when it cannot know?",
     no_args_is_help=True,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(trial_app, name="trial")
@@ -398,9 +408,9 @@ Zero = Annotated[bool, typer.Option("--zero", help="The leak test's trial: every
 
 
 @trial_app.command(
-    "run", help="A whole trial: conceal, judge in a process of its own, open, verify; a stopped one goes on."
+    "run", help="A whole trial: conceal, judge, open, verify. Judged in a process of its own; a stopped one goes on."
 )
-@trial_app.command("conceal", help="Draw benches, conceal effects in them, photograph them, and commit to the truth.")
+@trial_app.command("conceal", help="Draw benches, conceal effects in them, photograph them. And commit to the truth.")
 def trial_begin(
     command: typer.Context,
     output: Annotated[
@@ -455,7 +465,7 @@ Folder = Annotated[Path, typer.Argument(help="Folder of the trial: recordings/, 
 
 @trial_app.command("open")
 def trial_open(folder: Folder, workers: Processes = None, json: Json = False) -> None:
-    """Check every commitment, open, score cause, size and prediction, close the ledger."""
+    """Check every commitment, open, score, close the ledger. Cause, size and prediction are scored."""
     from benchsim import trial
 
     _do(trial.open, json, folder=folder, workers=workers)
@@ -492,7 +502,7 @@ def trial_verify(
     workers: Processes = None,
     json: Json = False,
 ) -> None:
-    """Check that everything is as it was committed to, make again what follows from it; needs no secret."""
+    """Check that everything is as it was committed to. Makes again what follows from it; needs no secret."""
     from benchsim import trial
 
     _do(
@@ -523,7 +533,7 @@ def calibrate(
     ] = "unknown",
     json: Json = False,
 ) -> None:
-    """Calibrate a camera: intrinsics and distortion with covariance, or which views to add."""
+    """Calibrate a camera from photographs of the board. Distortion and covariance too, or which views to add."""
     from benchsim import jobs
 
     value: float | str = gamma
@@ -550,7 +560,7 @@ def new(
     marks: Annotated[Path | None, typer.Option(help="The board's marks.csv.")] = None,
     json: Json = False,
 ) -> None:
-    """Begin a recording from photographs: what they say is filled in, what only you know is marked."""
+    """Begin a recording from photographs. What they say is filled in, what only you know is marked."""
     from benchsim import jobs
 
     _do(
@@ -565,7 +575,7 @@ def check(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Say what a recording still lacks, and where it contradicts itself, before anything is fitted."""
+    """Say what a recording still lacks, before anything is fitted. And where it contradicts itself."""
     from benchsim import jobs
 
     if not _do(jobs.check, json, recording=recording, output=output, allow_outside=allow_outside).usable:

@@ -96,6 +96,22 @@ def read(path: str | Path, *, images: bool | None = None, allow_outside: bool = 
     return recording
 
 
+def given(source: Recording | str | Path, *, images: bool | None = None, allow_outside: bool = False) -> Recording:
+    """What `read` makes of a path; or a recording in hand, checked the same way.
+
+    Raises
+    ------
+    BenchsimError
+        One sentence that names file, key and mend.
+    """
+    if not isinstance(source, Recording):
+        return read(source, images=images, allow_outside=allow_outside)
+    if images is False:
+        source = replace(source, exposures=tuple(replace(e, image=None, dark=None) for e in source.exposures))
+    _check(source, source.path, images, allow_outside)
+    return source
+
+
 def complaints(path: str | Path) -> list[tuple[str, str]]:
     """Everything that keeps a file from being read for its keys alone: (key, mend), in the order of the file.
 
@@ -119,11 +135,14 @@ def complaints(path: str | Path) -> list[tuple[str, str]]:
 
 
 def sources(recording: Recording) -> list[Path]:
-    """Files that a recording stands on: its TOML file, marks and pictures, in this order."""
+    """Files that a recording stands on: its TOML file and marks, where it has been read from one, and pictures."""
+    names = [name for e in recording.exposures for name in (e.image, e.dark) if name]
+    pictures = [recording.folder / name for name in names]
+    if not recording.path.is_file():
+        return pictures
     screen = load_toml(recording.path).get("screen", {})
-    names = [screen.get("marks", schema.ScreenTable.model_fields["marks"].default)]
-    names += [name for e in recording.exposures for name in (e.image, e.dark) if name]
-    return [recording.path, *(recording.folder / name for name in names)]
+    marks = screen.get("marks", schema.ScreenTable.model_fields["marks"].default)
+    return [recording.path, recording.folder / marks, *pictures]
 
 
 def _toml_path(path: Path) -> Path:

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from benchsim import diagnosis, trace
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.files import read, sources
+from benchsim.bench.files import given, sources
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.names import file_name
 from benchsim.bench.writing import write_text
@@ -24,7 +24,7 @@ from benchsim.instruments.bench import amended_file, candidates, displacement, e
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.instruments.bench.prediction import Predict
 from benchsim.jobs import exhibits
-from benchsim.jobs.output import default_folder, label, output_folder
+from benchsim.jobs.output import label, wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
 from benchsim.jobs.workers import Workers, workers
@@ -54,7 +54,8 @@ class DiagnosisResult:
     remarks : tuple of str
         One sentence for each thing about the recording that limits what can be told.
     against : {"bench", "vector"}
-    folder : Path
+    folder : Path, optional
+        Where it was written.
     not_drawn : tuple of str
         One sentence for each picture that could not be made.
     """
@@ -66,7 +67,7 @@ class DiagnosisResult:
     lost: tuple[str, ...]
     remarks: tuple[str, ...]
     against: str
-    folder: Path
+    folder: Path | None = None
     not_drawn: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -102,11 +103,11 @@ class DiagnosisResult:
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
         missing = "".join(f"\nnot drawn: {sentence}" for sentence in self.not_drawn)
-        return f"{self.text()}\n{missing}\nwritten: {self.folder}/"
+        return f"{self.text()}\n{missing}{written(self.folder)}"
 
 
 def diagnose(
-    recording: Path | str,
+    recording: Recording | Path | str,
     output: Path | str | None = None,
     *,
     against: str = "bench",
@@ -122,10 +123,10 @@ def diagnose(
 
     Parameters
     ----------
-    recording : path
-        Recording folder or file; a folder of PAINT files or a telescope's pointing file, told by what it holds.
+    recording : Recording or path
+        A recording, its folder or file; a folder of PAINT files or a telescope's pointing file, told by what it holds.
     output : path, optional
-        Default ``./NAME-diagnose/``.
+        Folder to write; by default nothing is written or drawn.
     against : {"bench", "vector"}
         The simulation in doubt: the bench as the file states it, or the paper's vector model.
     pictures : bool
@@ -146,8 +147,8 @@ def diagnose(
     BenchsimError
         If the recording or the folder cannot be used, or no exposure gives a trace.
     """
-    source = Path(recording)
-    if _of_a_mount(source):
+    folder = None if output is None else Path(output)
+    if not isinstance(recording, Recording) and _of_a_mount(source := Path(recording)):
         from benchsim.jobs import mount_diagnosis
 
         if against != "bench":
@@ -155,15 +156,16 @@ def diagnose(
                 f"{source}: --against {against} is for the bench; leave it out for a mount's recordings"
             )
         place = None if tower is None else Path(tower)
-        return mount_diagnosis.diagnose(source, output, tower=place, draw=pictures, progress=progress)
-    folder = Path(output) if output is not None else default_folder(source, "diagnose")
-    checked = read(source, images=True, allow_outside=allow_outside)
+        return mount_diagnosis.diagnose(source, folder, tower=place, draw=pictures, progress=progress)
+    checked = given(recording, images=True, allow_outside=allow_outside)
     effects.check(checked)
     candidates.simulated(checked, against)
     options = {"against": against, "pictures": pictures}
     with workers() as pool:
-        with output_folder(folder, "diagnose", sources(checked), options, checked.defaults_used) as staging:
+        with wanted_folder(folder, "diagnose", sources(checked), options, checked.defaults_used) as staging:
             result = diagnose_recording(checked, folder, against=against, pool=pool, progress=progress)
+            if folder is None or staging is None:
+                return alone(result)
             write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
             write_text(staging / "summary.txt", result.text() + "\n")
             amended_file.write_amended(result.amended, staging / "amended.toml", folder)
@@ -172,7 +174,12 @@ def diagnose(
         exhibits.write_diagnosis(checked, result.problem, result.diagnosis, folder, photographs=pictures)
         report(folder)
     progress("done", 1.0)
-    return result
+    return alone(result)
+
+
+def alone(result: DiagnosisResult) -> DiagnosisResult:
+    """A result that outlives the processes it was made with."""
+    return replace(result, problem=replace(result.problem, spread=map))
 
 
 def _of_a_mount(source: Path) -> bool:
@@ -187,7 +194,7 @@ def _of_a_mount(source: Path) -> bool:
 @threadpool_limits.wrap(limits=1)  # of thousands of small matrices a second thread of BLAS makes five times the work
 def diagnose_recording(
     recording: Recording,
-    folder: Path,
+    folder: Path | None,
     *,
     against: str = "bench",
     pool: Workers,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchsim.bench.files import read, sources
+from benchsim.bench.files import given, sources
 from benchsim.bench.model import Recording
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis.degeneracy import CLOSE, Space, separation, space
@@ -20,7 +20,7 @@ from benchsim.diagnosis.linear import linearise
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.result import Limit
 from benchsim.instruments.bench import effects as bench_effects
-from benchsim.jobs.output import label, output_folder
+from benchsim.jobs.output import label, wanted_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.workers import workers
 from benchsim.reports import effects_text
@@ -153,7 +153,7 @@ class IsolabilityResult:
 
 
 def effects(
-    recording: Path | str | None = None,
+    recording: Recording | Path | str | None = None,
     output: Path | str | None = None,
     *,
     against: str = "bench",
@@ -164,8 +164,8 @@ def effects(
 
     Parameters
     ----------
-    recording : path, optional
-        Recording folder or file, or a bench file; its photographs are not looked at.
+    recording : Recording or path, optional
+        A recording, its folder or file, or a bench file; its photographs are not looked at.
     output : path, optional
         Folder for ``effects.json`` and ``effects.txt``; default: nothing is written.
     against : {"bench", "vector"}
@@ -186,14 +186,14 @@ def effects(
     """
     if recording is None:
         return _written(CatalogueResult(bench_effects.CATALOGUE), output, [Path(bench_effects.__file__)])
-    read_in = read(Path(recording), images=False, allow_outside=allow_outside)
+    read_in = given(recording, images=False, allow_outside=allow_outside)
     bench_effects.check(read_in)
     return _written(isolability(read_in, against, progress), output, sources(read_in)[:2])
 
 
 def _written(result: Any, output: Path | str | None, inputs: list[Path]) -> Any:
-    if output is not None:
-        with output_folder(Path(output), "effects", inputs) as staging:
+    with wanted_folder(output, "effects", inputs) as staging:
+        if staging is not None:
             write_text(staging / "effects.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
             write_text(staging / "effects.txt", result.summary() + "\n")
     return result

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from benchsim import conics, trace, vector
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.files import read, sources
+from benchsim.bench.files import given, sources
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.names import file_name
 from benchsim.bench.place import place
 from benchsim.bench.settings import NAMES, from_vector, prior_sigma, screen_seats, uncertainty_of
 from benchsim.bench.writing import write_csv, write_text
-from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.reports import pictures
 from benchsim.trace import likeness
@@ -68,9 +68,7 @@ class FitResult:
         """What a person wants to know, on a terminal."""
         lines = [line for f in self.fitted for line in _describe(f)]
         lines += [f"lost: {sentence}" for sentence in self.lost]
-        if self.folder is not None:
-            lines.append(f"written: {self.folder}/")
-        return "\n".join(lines)
+        return "\n".join(lines) + written(self.folder)
 
 
 def _describe(f: FittedExposure) -> list[str]:
@@ -103,7 +101,7 @@ class PixelFit:
 
     trace: trace.PixelTrace
     conic: conics.ConicFit
-    folder: Path
+    folder: Path | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``conics.json``; lengths are in pixels."""
@@ -123,7 +121,7 @@ class PixelFit:
             f"curve known to ±{self.conic.curve_rms:.4f} px\n"
             f"  looks like a line: {self.trace.likeness.words()}\n"
             f"  free conic in pixels: {known['kind'].value}, eccentricity {_interval(known['eccentricity'])}\n"
-            f"  pixels are not a plane: without marks nothing is said in mm\nwritten: {self.folder}/"
+            "  pixels are not a plane: without marks nothing is said in mm" + written(self.folder)
         )
 
 
@@ -135,7 +133,7 @@ def _in_pixels(value: Any) -> Any:
 
 
 def fit(
-    source: Path | str,
+    source: Recording | Path | str,
     output: Path | str | None = None,
     *,
     pixels: bool = False,
@@ -146,10 +144,10 @@ def fit(
 
     Parameters
     ----------
-    source : path
-        Recording folder or file; with ``pixels`` an image.
+    source : Recording or path
+        A recording, its folder or file; with ``pixels`` an image.
     output : path, optional
-        Default ``./NAME-fit/``.
+        Folder to write; by default nothing is written.
     pixels : bool
         Fit a single image without a recording, in pixels.
     allow_outside : bool
@@ -166,30 +164,32 @@ def fit(
     BenchsimError
         If the input or the folder cannot be used, or no exposure gives a trace.
     """
-    path = Path(source)
-    folder = Path(output) if output is not None else default_folder(path, "fit")
+    folder = None if output is None else Path(output)
     if pixels:
-        return _fit_pixels(path, folder)
-    if path.suffix.lower() in IMAGE_SUFFIXES:
+        if isinstance(source, Recording):
+            raise BenchsimError(f"{source.path.name}: pixels takes one image; leave it out to fit a recording")
+        return _fit_pixels(Path(source), folder)
+    if not isinstance(source, Recording) and Path(source).suffix.lower() in IMAGE_SUFFIXES:
         raise BenchsimError(
-            f"{path.name}: one photograph alone has no scale and no lens; put it into a folder with a recording.toml "
-            "(camera, laser, mirror position) and marks.csv, or fit it in pixels with --pixels"
+            f"{Path(source).name}: one photograph alone has no scale and no lens; put it into a folder with a "
+            "recording.toml (camera, laser, mirror position) and marks.csv, or fit it in pixels with --pixels"
         )
-    recording = read(path, images=True, allow_outside=allow_outside)
-    with output_folder(folder, "fit", sources(recording), {}, recording.defaults_used) as staging:
+    recording = given(source, images=True, allow_outside=allow_outside)
+    with wanted_folder(folder, "fit", sources(recording), {}, recording.defaults_used) as staging:
         result = replace(fit_recording(recording, progress=progress), folder=folder)
-        write_fit(result, staging)
-        for f in result.fitted:
-            draw_overlay(recording, f, None, None, staging)
+        if staging is not None:
+            write_fit(result, staging)
+            for f in result.fitted:
+                draw_overlay(recording, f, None, None, staging)
     return result
 
 
-def _fit_pixels(path: Path, folder: Path) -> PixelFit:
+def _fit_pixels(path: Path, folder: Path | None) -> PixelFit:
     if path.is_dir() or path.suffix.lower() == ".toml":
         raise BenchsimError(f"{path}: --pixels takes one image; leave it out to fit a recording")
     if not path.is_file():
         raise BenchsimError(f"{path}: no such image; check the path")
-    with output_folder(folder, "fit", [path], {"pixels": True}) as staging:
+    with wanted_folder(folder, "fit", [path], {"pixels": True}) as staging:
         t = trace.extract_pixels(path)
         if not t.likeness.score >= likeness.LIMIT:
             raise BenchsimError(
@@ -199,6 +199,8 @@ def _fit_pixels(path: Path, folder: Path) -> PixelFit:
         shared = t.shape_px[:, None, :] * t.normal[:, :, None]
         found = conics.fit(np.column_stack([t.u_px, t.v_px]), t.sigma_px * _swell(t.correlation), common=shared)
         result = PixelFit(t, found, folder)
+        if staging is None:
+            return result
         header = "ridge s_px u_px v_px sigma_px width_px flux skewness saturated".split()
         columns = (t.s_px, t.u_px, t.v_px, t.sigma_px, t.width_px, t.flux, t.skewness, t.saturated)
         write_csv(staging / "trace.csv", header, ((0, *map(float, row)) for row in zip(*columns, strict=True)), 9)

@@ -25,7 +25,7 @@ from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session,
 from benchsim.instruments.mount.shared_causes import Shared
 from benchsim.instruments.mount.small_terms import SmallTerms
 from benchsim.jobs import amended_mounts
-from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
 from benchsim.reports import diagnosis_pictures as pictures
@@ -75,7 +75,8 @@ class MountDiagnosis:
         Stated functions with a law added.
     learnt : Learnt
         What predictions rest on beside both.
-    folder : Path
+    folder : Path, optional
+        Where it was written.
     """
 
     session: Session
@@ -84,7 +85,7 @@ class MountDiagnosis:
     found: dict[str, dict[str, float]]
     fields: dict[str, Function]
     learnt: Learnt
-    folder: Path
+    folder: Path | None
     small: SmallTerms
 
     @cached_property
@@ -212,7 +213,7 @@ class MountDiagnosis:
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        return f"{self.text()}\n\nwritten: {self.folder}/"
+        return f"{self.text()}\n{written(self.folder)}"
 
 
 def diagnose(
@@ -232,7 +233,7 @@ def diagnose(
     source : Path
         A PAINT folder, a pointing file, or an ``amended.toml`` of one.
     output : path, optional
-        Default ``./NAME-diagnose/``.
+        Folder to write; by default nothing is written or drawn.
     tower : Path, optional
         Tower file of PAINT recordings.
     draw : bool
@@ -252,11 +253,13 @@ def diagnose(
     BenchsimError
         If the recordings or the folder cannot be used.
     """
-    folder = Path(output) if output is not None else default_folder(source, "diagnose")
+    folder = None if output is None else Path(output)
     progress("reading the records", 0.0)
     session = shared_causes.applied(stated.read(source, tower), shared)
-    with output_folder(folder, "diagnose", session.files, {"pictures": draw}) as staging:
+    with wanted_folder(folder, "diagnose", session.files, {"pictures": draw}) as staging:
         result = diagnose_session(session, folder, without=without, progress=progress)
+        if folder is None or staging is None:
+            return result
         write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
         write_text(staging / "summary.txt", result.text() + "\n")
         stated.write(session, result.found, result.fields, staging / "amended.toml", folder, result.learnt)
@@ -275,7 +278,7 @@ def diagnose(
 
 @threadpool_limits.wrap(limits=1)
 def diagnose_session(
-    session: Session, folder: Path = Path(), *, without: Sequence[str] = (), progress: Progress = silent
+    session: Session, folder: Path | None = None, *, without: Sequence[str] = (), progress: Progress = silent
 ) -> MountDiagnosis:
     """Diagnose recordings that were read, by the catalogue without some effects; writes nothing."""
     if not np.isfinite(session.records.source).all():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import json
 import os
@@ -10,6 +11,8 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import Any
 
 import benchsim
@@ -36,6 +39,34 @@ def label(recording: Recording) -> str:
     """What the person calls the recording: its folder, or folder and file."""
     folder, file = recording.folder.resolve().name, recording.path.name
     return printable(folder if file == "recording.toml" else f"{folder}/{file}")
+
+
+def written(folder: Path | None) -> str:
+    """Last line of a summary: where the results are, if anywhere."""
+    return "" if folder is None else f"\nwritten: {folder}/"
+
+
+def lasting_folder() -> Path:
+    """A folder for what nobody asked to keep; it lasts as long as this process."""
+    folder = Path(mkdtemp(prefix="benchsim-"))
+    atexit.register(rmtree, folder, ignore_errors=True)
+    return folder
+
+
+@contextmanager
+def wanted_folder(
+    target: Path | str | None,
+    command: str,
+    inputs: Sequence[Path],
+    options: dict[str, Any] | None = None,
+    defaults: Sequence[str] = (),
+) -> Iterator[Path | None]:
+    """`output_folder`, or None where nothing is to be written."""
+    if target is None:
+        yield None
+        return
+    with output_folder(Path(target), command, inputs, options, defaults) as staging:
+        yield staging
 
 
 @contextmanager

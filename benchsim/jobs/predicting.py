@@ -19,7 +19,7 @@ from benchsim.instruments.mount.json_values import finite, load
 from benchsim.instruments.mount.records import UNITS, Array, Session
 from benchsim.jobs import amended_mounts
 from benchsim.jobs.aiming import Aim, aim_at
-from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.reports import mount_pictures
 
@@ -73,7 +73,8 @@ class Prediction:
     remarks : tuple of str
     aim : Aim or None
         Motor positions that were asked for beside.
-    folder : Path
+    folder : Path, optional
+        Where it was written.
     """
 
     title: str
@@ -81,7 +82,7 @@ class Prediction:
     records: tuple[Miss, ...]
     remarks: tuple[str, ...]
     aim: Aim | None
-    folder: Path
+    folder: Path | None = None
 
     @property
     def counted(self) -> tuple[Miss, ...]:
@@ -139,7 +140,7 @@ class Prediction:
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        return f"{self.text()}\n\nwritten: {self.folder}/"
+        return f"{self.text()}\n{written(self.folder)}"
 
 
 @threadpool_limits.wrap(limits=1)
@@ -156,8 +157,7 @@ def predict(
 ) -> Prediction:
     """Predict recordings that were not used, and say by how much they are missed.
 
-    The mount is that of ``amended``; of the recordings only readings, sun and spots count. Writes ``prediction.json``,
-    ``prediction.csv``, ``summary.txt`` and ``prediction.png``.
+    The mount is that of ``amended``; of the recordings only readings, sun and spots count.
 
     Parameters
     ----------
@@ -166,7 +166,8 @@ def predict(
     recordings : path
         A PAINT folder, or a telescope's pointing file.
     output : path, optional
-        Default ``./NAME-predict/``, NAME being that of the recordings.
+        Folder for ``prediction.json``, ``prediction.csv``, ``summary.txt`` and ``prediction.png``; by default nothing
+        is written.
     tower : path, optional
         Tower file of PAINT recordings; default that of ``amended``.
     aim, time : str, optional
@@ -197,8 +198,8 @@ def predict(
             f"{learnt.sum()} of {len(learnt)} records were used to learn it; their misses say nothing"
             + (", and no other is there." if learnt.all() else ", and are not counted.")
         )
-    folder = Path(output) if output is not None else default_folder(Path(recordings), "predict")
-    with output_folder(folder, "predict", later.files, {"pictures": draw}) as staging:
+    folder = None if output is None else Path(output)
+    with wanted_folder(folder, "predict", later.files, {"pictures": draw}) as staging:
         aimed = None if aim is None else aim_at(session, aim, time)
         progress("predicting", 0.2)
         records = _missed(session, later, learnt)
@@ -206,6 +207,8 @@ def predict(
         if lost:
             remarks.append(f"The amended mount cannot reach the readings of {', '.join(lost)}: no triangle closes.")
         result = Prediction(later.title, later.mount.observes == "sky", records, tuple(remarks), aimed, folder)
+        if staging is None:
+            return result
         write_text(staging / "prediction.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
         rows = [r.as_dict() for r in records]
         write_csv(staging / "prediction.csv", list(rows[0]), (row.values() for row in rows))

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.files import read, sources
+from benchsim.bench.files import given, read, sources
 from benchsim.bench.model import Recording
 from benchsim.instruments.bench import effects as bench_effects
-from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.output import lasting_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 
 
@@ -69,7 +69,7 @@ class PhoneResult:
 
 
 def render(
-    bench: Path | str,
+    bench: Recording | Path | str,
     output: Path | str | None = None,
     *,
     seed: int | None = None,
@@ -86,10 +86,10 @@ def render(
 
     Parameters
     ----------
-    bench : path
-        Bench file; of a recording its images are ignored and rendered anew.
+    bench : Recording or path
+        A bench, or its file; of a recording its images are ignored and rendered anew.
     output : path, optional
-        Folder to write; default ``./NAME-render/``.
+        Folder to write; by default one that lasts as long as this process.
     seed : int, optional
         Of sensor noise and setting errors; default ``[render] seed``.
     effects : sequence of str
@@ -118,11 +118,10 @@ def render(
     BenchsimError
         If the bench cannot be used or the folder not be written.
     """
-    source = Path(bench)
-    recording = read(source, images=False, allow_outside=allow_outside)
+    recording = given(bench, images=False, allow_outside=allow_outside)
     recording = replace(recording, effects=override(recording.effects, effects))
     bench_effects.check(recording)
-    folder = Path(output) if output is not None else default_folder(source, "render")
+    folder = lasting_folder() if output is None else Path(output)
     options = {
         "seed": seed,
         # The stamp lies in the folder: what is concealed must not stand there either.

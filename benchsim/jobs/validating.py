@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from benchsim import trace, vector
 from benchsim.bench.curve import Curve
-from benchsim.bench.files import read, sources
+from benchsim.bench.files import given, sources
 from benchsim.bench.model import Recording, Screen
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.writing import write_text
 from benchsim.instruments.bench import board_coordinates
 from benchsim.instruments.bench.validation import LEVEL, ExposureValidation, validate_trace
 from benchsim.jobs.fitting import FitResult, draw_overlay, fit_recording
-from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.reports import pictures
 from benchsim.trace.pose import Pose
@@ -73,13 +73,11 @@ class ValidationResult:
                 f"{v.vector.p_after:18.3f}"
             )
         lines += [f"lost: {sentence}" for sentence in self.lost]
-        if self.folder is not None:
-            lines.append(f"written: {self.folder}/")
-        return "\n".join(lines)
+        return "\n".join(lines) + written(self.folder)
 
 
 def validate(
-    recording: Path | str,
+    recording: Recording | Path | str,
     output: Path | str | None = None,
     *,
     allow_outside: bool = False,
@@ -89,10 +87,10 @@ def validate(
 
     Parameters
     ----------
-    recording : path
-        Recording folder or file.
+    recording : Recording or path
+        A recording, its folder or file.
     output : path, optional
-        Default ``./NAME-validate/``.
+        Folder to write; by default nothing is written.
     allow_outside : bool
         Whether marks and images may lie outside of the file's folder, see `paths.inside`.
     progress : callable
@@ -107,14 +105,14 @@ def validate(
     BenchsimError
         If the recording or the folder cannot be used, or no exposure gives a trace.
     """
-    source = Path(recording)
-    folder = Path(output) if output is not None else default_folder(source, "validate")
-    checked = read(source, images=True, allow_outside=allow_outside)
-    with output_folder(folder, "validate", sources(checked), {}, checked.defaults_used) as staging:
+    folder = None if output is None else Path(output)
+    checked = given(recording, images=True, allow_outside=allow_outside)
+    with wanted_folder(folder, "validate", sources(checked), {}, checked.defaults_used) as staging:
         fitted = fit_recording(checked, progress=lambda what, done: progress(what, 0.5 * done))
         found = validate_fit(fitted, progress=lambda what, done: progress(what, 0.5 + 0.4 * done))
         result = ValidationResult(found.recording, found.exposures, found.lost, folder)
-        write_validation(result, fitted, staging)
+        if staging is not None:
+            write_validation(result, fitted, staging)
     return result
 
 
