@@ -1,5 +1,13 @@
 """benchsim: a heliostat bench as software, and the instrument that reads it.
 
+>>> import benchsim as bs
+>>> recording = bs.render(bs.load("scenes/fig7a.toml"), seed=1)
+>>> bs.fit(recording)[0].trace
+>>> bs.diagnose(recording, progress=True).verdict
+
+Each command is the function of its name here; it takes a path or what another has returned, and writes where told.
+What these functions and classes are made of is looked up when they are first used, so that this import stays light.
+
 Mitsuba's ``llvm_*`` variants need a shared libLLVM, which Dr.Jit looks up once, when it is first
 imported. The wheel ``karellen-llvm-core`` brings one; this module points Dr.Jit to it and imports
 nothing heavy. A path the user set in ``DRJIT_LIBLLVM_PATH`` is left alone.
@@ -7,6 +15,33 @@ nothing heavy. A path the user set in ``DRJIT_LIBLLVM_PATH`` is left alone.
 
 import os
 import sys
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from benchsim.api import load, render
+    from benchsim.bench.errors import BenchsimError
+    from benchsim.bench.model import Camera, Exposure, Laser, Mirror, Physics, Recording, Screen, Uncertainty
+    from benchsim.bench.model import Recording as Bench
+    from benchsim.jobs.aiming import aim
+    from benchsim.jobs.board_print import board
+    from benchsim.jobs.calibrating import calibrate
+    from benchsim.jobs.checking import check
+    from benchsim.jobs.diagnosing import diagnose
+    from benchsim.jobs.effect_catalogue import effects
+    from benchsim.jobs.exporting import export
+    from benchsim.jobs.field_diagnosis import field
+    from benchsim.jobs.fitting import fit
+    from benchsim.jobs.new_recording import new
+    from benchsim.jobs.predicting import predict
+    from benchsim.jobs.reporting import report
+    from benchsim.jobs.running import run
+    from benchsim.jobs.validating import validate
+
+__all__ = [
+    "Bench", "BenchsimError", "Camera", "Exposure", "Laser", "Mirror", "Physics", "Recording", "Screen", "Uncertainty",
+    "aim", "board", "calibrate", "check", "diagnose", "effects", "export", "field", "fit", "load", "new", "predict",
+    "render", "report", "run", "validate",
+]  # fmt: skip
 
 __version__ = "0.1.0"
 
@@ -40,3 +75,15 @@ if "DRJIT_LIBLLVM_PATH" not in os.environ:
             )
         else:
             os.environ["DRJIT_LIBLLVM_PATH"] = _path
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'benchsim' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module("benchsim.api"), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

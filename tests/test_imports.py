@@ -40,6 +40,7 @@ ALLOWED = {
         "renderer",
         "instruments",
     },
+    "api": {"bench", "jobs"},
     "trial": {"bench", "diagnosis", "rays", "renderer", "instruments", "jobs"},
     "cli": {"bench", "jobs", "trial"},
 }

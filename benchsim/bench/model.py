@@ -184,7 +184,7 @@ class Exposure:
         return self.image or self.setting
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """A recording, or a bench (the same without images). ``path`` is the TOML file it was read from.
 
@@ -210,3 +210,22 @@ class Recording:
     def folder(self) -> Path:
         """Folder that image paths are relative to."""
         return self.path.parent
+
+    def save(self, folder: Path | str) -> Recording:
+        """Write ``recording.toml``, marks and images into a folder, see `writing.save`; returns it as it lies there."""
+        from benchsim.bench.writing import save
+
+        return save(self, Path(folder))
+
+    def __repr__(self) -> str:
+        m, size, settings = self.mirror, self.screen.size, len({e.setting for e in self.exposures})
+        images = sum(e.image is not None for e in self.exposures)
+        polygon = f"{m.shape} of {m.facets} facets, {m.diameter:g} mm"
+        parts = [
+            f"exposures: {len(self.exposures)}, settings: {settings}, images: {images}",
+            f"beam {self.laser.beam_diameter:g} mm, {1e3 * self.laser.divergence:g} mrad",
+            polygon if m.shape == "polygon" else f"cylinder, {m.diameter:g} mm",
+            f"board {size[0]:g} × {size[1]:g} mm",
+            *([f"effects {', '.join(self.effects)}"] if self.effects else []),
+        ]
+        return f"<{'Recording' if images else 'Bench'} {self.title or self.path.name!r}: {'; '.join(parts)}>"

@@ -6,13 +6,16 @@ import csv
 import io
 import math
 import os
+import shutil
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 import tomlkit
 
 from benchsim.bench import schema
+from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import FORMS
 from benchsim.bench.marks import MARKS_HEADER
 from benchsim.bench.model import Marks, Recording
@@ -78,6 +81,43 @@ def write(recording: Recording, path: str | Path, *, render: bool = False) -> No
     if recording.screen.marks is not None:
         write_marks(path.parent / "marks.csv", recording.screen.marks)
     write_text(path, tomlkit.dumps(_document(recording, render)))
+
+
+def save(recording: Recording, folder: Path) -> Recording:
+    """Write a recording with its images, or a bench, into a new or empty folder; returns it as it lies there.
+
+    Raises
+    ------
+    BenchsimError
+        If the folder holds something, or cannot be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise BenchsimError(f"{folder}: is there and not empty; choose another")
+    exposures = [
+        replace(e, image=_at_home(e.image, f"{i:03d}"), dark=_at_home(e.dark, f"{i:03d}-dark"))
+        for i, e in enumerate(recording.exposures, 1)
+    ]
+    moved = replace(recording, exposures=tuple(exposures), path=folder / "recording.toml")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with staged(folder) as staging:
+        for e, there in zip(recording.exposures, exposures, strict=True):
+            for name, new in ((e.image, there.image), (e.dark, there.dark)):
+                if name and new:
+                    (staging / new).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(recording.folder / name, staging / new)
+        write(moved, staging / "recording.toml", render=all(e.image is None for e in exposures))
+        permit(staging, 0o777)
+        if folder.exists():
+            folder.rmdir()
+        staging.rename(folder)
+    return moved
+
+
+def _at_home(name: str | None, otherwise: str) -> str | None:
+    """A picture's name, or another where it leads out of the recording's folder."""
+    if name is None or not (Path(name).is_absolute() or ".." in Path(name).parts):
+        return name
+    return otherwise + Path(name).suffix
 
 
 def _document(r: Recording, render: bool) -> tomlkit.TOMLDocument:

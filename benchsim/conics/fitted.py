@@ -69,6 +69,13 @@ class Fitted:
     shallow: bool = False
 
     @property
+    def kind(self) -> str:
+        """Ellipse, hyperbola or not determined, at 95 %; `invariants` says it with the rest."""
+        from benchsim.conics.invariants import invariants
+
+        return str(invariants(self)["kind"].value)
+
+    @property
     def curve_rms(self) -> float:
         """rms of ``curve_sigma`` along the used points [mm]."""
         return float(np.sqrt(np.mean(self.curve_sigma[self.used] ** 2)))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
 from benchsim import diagnosis, trace
@@ -18,7 +19,7 @@ from benchsim.bench.files import given, sources
 from benchsim.bench.model import Exposure, Recording
 from benchsim.bench.names import file_name
 from benchsim.bench.writing import write_text
-from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amended_file, candidates, displacement, effects, observables
 from benchsim.instruments.bench import problem as bench_problem
@@ -27,6 +28,7 @@ from benchsim.jobs import exhibits
 from benchsim.jobs.output import label, wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
+from benchsim.jobs.shown import Diagnosed
 from benchsim.jobs.workers import Workers, workers
 from benchsim.reports import diagnosis_pictures as pictures
 from benchsim.reports.diagnosis_text import About, listed, summary
@@ -38,8 +40,8 @@ MOST_LOCATED = 4
 """Photographs in which stretches are drawn: those of the most significant."""
 
 
-@dataclass(frozen=True)
-class DiagnosisResult:
+@dataclass(frozen=True, repr=False)
+class DiagnosisResult(Diagnosed):
     """A finished diagnosis and what it rests on.
 
     Attributes
@@ -69,6 +71,25 @@ class DiagnosisResult:
     against: str
     folder: Path | None = None
     not_drawn: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """What the person calls the recording."""
+        return label(self.recording)
+
+    @property
+    def catalogue(self) -> tuple[Effect, ...]:
+        """The effects that were looked for."""
+        return self.problem.catalogue
+
+    def plot_residuals(self) -> Figure:
+        """Distance of every trace from its prediction, before and after."""
+        blocks = range(len(self.problem.names))
+        return pictures.residual_figure(self.problem, self.diagnosis, blocks, self.title)
+
+    def figures(self) -> list[Figure]:
+        """Both pictures."""
+        return [self.plot_residuals(), self.plot_probability()]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``diagnosis.json``."""
@@ -274,7 +295,7 @@ def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progres
     progress("drawing", 0.78)
     pictures.residuals(folder, problem, d, title)
     pictures.observables(folder / "observables.png", problem, d, title)
-    pictures.probability(folder / "probability.png", d, problem.catalogue, title)
+    pictures.save(result.plot_probability(), folder / "probability.png")
     _draw_located(result, folder, pool, title)
     try:
         return draw_pixels(result, folder, progress)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchsim import conics, trace, vector
@@ -21,6 +23,7 @@ from benchsim.bench.settings import NAMES, from_vector, prior_sigma, screen_seat
 from benchsim.bench.writing import write_csv, write_text
 from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 from benchsim.reports import pictures
 from benchsim.trace import likeness
 
@@ -29,8 +32,8 @@ Array = NDArray[np.float64]
 IMAGE_SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 
 
-@dataclass(frozen=True)
-class FittedExposure:
+@dataclass(frozen=True, repr=False)
+class FittedExposure(Shown):
     """One exposure: its trace, a free conic through each ridge, and the bench's own cone through the main one."""
 
     exposure: Exposure
@@ -39,15 +42,35 @@ class FittedExposure:
     free: dict[int, conics.ConicFit]
     cone: conics.SectionFit | None
 
+    def summary(self) -> str:
+        """What a person wants to know of it."""
+        return "\n".join(_describe(self))
 
-@dataclass(frozen=True)
-class FitResult:
-    """What ``fit`` found: ``lost`` holds one sentence for each exposure that gave no trace."""
+    def figures(self) -> list[Figure]:
+        """Its trace on the board."""
+        figure = Figure(layout="constrained")
+        self.trace.plot(figure.add_subplot())
+        return [figure]
+
+
+@dataclass(frozen=True, repr=False)
+class FitResult(Shown, Sequence[FittedExposure]):
+    """What ``fit`` found, a sequence of its exposures: ``lost`` holds one sentence for each that gave no trace."""
 
     recording: Recording
     fitted: tuple[FittedExposure, ...]
     lost: tuple[str, ...]
     folder: Path | None = None
+
+    def __len__(self) -> int:
+        return len(self.fitted)
+
+    @overload
+    def __getitem__(self, index: int) -> FittedExposure: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[FittedExposure, ...]: ...
+    def __getitem__(self, index: int | slice) -> FittedExposure | tuple[FittedExposure, ...]:
+        return self.fitted[index]
 
     def conics_as_dict(self) -> dict[str, Any]:
         """Plain values for ``conics.json``."""
@@ -66,7 +89,7 @@ class FitResult:
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        lines = [line for f in self.fitted for line in _describe(f)]
+        lines = [f.summary() for f in self]
         lines += [f"lost: {sentence}" for sentence in self.lost]
         return "\n".join(lines) + written(self.folder)
 
@@ -95,8 +118,8 @@ def _interval(i: conics.Invariant) -> str:
     return f"{i.value:.4g} (95 %: {i.low:.4g} … {i.high:.4g})"
 
 
-@dataclass(frozen=True)
-class PixelFit:
+@dataclass(frozen=True, repr=False)
+class PixelFit(Shown):
     """The ridge of a single picture and its conic, both in pixels."""
 
     trace: trace.PixelTrace

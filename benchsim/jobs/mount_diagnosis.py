@@ -16,7 +16,7 @@ from benchsim import diagnosis
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis.evidence import shapes
-from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
 from benchsim.instruments.mount import effects, functions, shared_causes, small_terms, solar, stated, witnesses
 from benchsim.instruments.mount import problem as mount_problem
@@ -28,6 +28,7 @@ from benchsim.jobs import amended_mounts
 from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
+from benchsim.jobs.shown import Diagnosed
 from benchsim.reports import diagnosis_pictures as pictures
 from benchsim.reports import mount_pictures
 from benchsim.reports.diagnosis_text import About, summary
@@ -58,8 +59,8 @@ FEW = 8
 """Records below which it means little that nothing was found."""
 
 
-@dataclass(frozen=True)
-class MountDiagnosis:
+@dataclass(frozen=True, repr=False)
+class MountDiagnosis(Diagnosed):
     """A finished diagnosis of a mount and what it rests on.
 
     Attributes
@@ -87,6 +88,16 @@ class MountDiagnosis:
     learnt: Learnt
     folder: Path | None
     small: SmallTerms
+
+    @property
+    def title(self) -> str:
+        """What the person calls the recordings."""
+        return self.session.title
+
+    @property
+    def catalogue(self) -> tuple[Effect, ...]:
+        """The effects that were looked for."""
+        return self.built.problem.catalogue
 
     @cached_property
     def remarks(self) -> tuple[str, ...]:
@@ -267,7 +278,7 @@ def diagnose(
     if draw:
         progress("drawing", 0.9)
         b, title = result.built, session.title
-        pictures.probability(folder / "probability.png", result.diagnosis, b.problem.catalogue, title)
+        pictures.save(result.plot_probability(), folder / "probability.png")
         mount_pictures.residuals(
             folder / "residuals.png", b.session.records.source, result.diagnosis.residuals, session.mount.unit, title
         )

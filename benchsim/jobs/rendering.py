@@ -143,6 +143,7 @@ def render(
             variant=variant,
             progress=progress,
         )
+    rendered = replace(rendered, path=folder / "recording.toml")
     return RenderResult(folder, rendered, recording.render.seed if seed is None else seed, notes)
 
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 import benchsim
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, sources
@@ -16,17 +18,22 @@ from benchsim.jobs.output import default_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.rendering import render_into
 from benchsim.jobs.reporting import report
+from benchsim.jobs.shown import Shown
 from benchsim.jobs.validating import ValidationResult, validate_fit, write_validation
 
 
-@dataclass(frozen=True)
-class RunResult:
+@dataclass(frozen=True, repr=False)
+class RunResult(Shown):
     """What the main job found: the fit and the validation, and where it all lies."""
 
     folder: Path
     rendered: bool
     fit: FitResult
     validation: ValidationResult
+
+    def figures(self) -> list[Figure]:
+        """Those of the validation."""
+        return self.validation.figures()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``--json``."""
@@ -100,12 +107,15 @@ def run(
         write_fit(fitted, staging)
         validation = validate_fit(fitted, progress=lambda what, done: progress(what, 0.7 + 0.2 * done))
         progress("drawing", 0.9)
-        write_validation(validation, fitted, staging)
+        write_validation(validation, staging)
         result = RunResult(folder, not all(photographed), fitted, validation)
         (staging / "summary.txt").write_text(result.summary() + "\n", encoding="utf-8")
         exhibits.write_validation(recording, fitted.fitted, validation.exposures, staging)
     report(folder)
-    return result
+    if not result.rendered:
+        return result
+    lies = replace(fitted, recording=replace(recording, path=folder / "recording" / "recording.toml"))
+    return replace(result, fit=lies, validation=replace(validation, fitted=lies))
 
 
 def _figure7() -> tuple[Recording, list[Path]]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchsim import trace, vector
@@ -22,20 +23,58 @@ from benchsim.instruments.bench.validation import LEVEL, ExposureValidation, val
 from benchsim.jobs.fitting import FitResult, draw_overlay, fit_recording
 from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 from benchsim.reports import pictures
 from benchsim.trace.pose import Pose
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ValidationResult:
+@dataclass(frozen=True, repr=False)
+class ValidationResult(Shown):
     """The validation of every exposure that gave a trace."""
 
-    recording: Recording
+    fitted: FitResult
     exposures: tuple[ExposureValidation, ...]
-    lost: tuple[str, ...]
     folder: Path | None = None
+
+    @property
+    def recording(self) -> Recording:
+        """What was validated."""
+        return self.fitted.recording
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """One sentence for each exposure that gave no trace."""
+        return self.fitted.lost
+
+    @property
+    def _title(self) -> str:
+        return self.recording.title or self.recording.folder.name
+
+    def plot_residuals(self) -> Figure:
+        """Distance of each trace from the vector model, at the stated setting and with the settings fitted."""
+        return pictures.residuals(drawn(self), f"{self._title}: distance of the trace from the vector model")
+
+    def plot_traces(self) -> Figure:
+        """Measured and simulated traces on the board, as the paper's Fig. 8."""
+        mirror, screen, notes = self.recording.mirror, self.recording.screen, []
+        for f in self.fitted:
+            conic = vector.trace_conic(mirror, f.exposure)
+            notes.append(
+                f"C = {_cm(f.exposure.mirror_position)} cm, azimuth {np.degrees(f.exposure.laser_azimuth):.0f}°, "
+                f"elevation {np.degrees(f.exposure.laser_elevation):.0f}°\n"
+                f"{conic.geometry.kind}, focus toward {conic.focus_side.replace('-', '−')}"
+            )
+        footer = (
+            f"{self._title}: measured and simulated; {mirror.stands_for} cylinder, board seen from the mirror's side "
+            "(from behind, as the paper seems to show it, left and right change)"
+        )
+        return pictures.figure8(drawn(self), screen.size, notes, footer)
+
+    def figures(self) -> list[Figure]:
+        """Both pictures."""
+        return [self.plot_residuals(), self.plot_traces()]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``validation.json``."""
@@ -110,9 +149,9 @@ def validate(
     with wanted_folder(folder, "validate", sources(checked), {}, checked.defaults_used) as staging:
         fitted = fit_recording(checked, progress=lambda what, done: progress(what, 0.5 * done))
         found = validate_fit(fitted, progress=lambda what, done: progress(what, 0.5 + 0.4 * done))
-        result = ValidationResult(found.recording, found.exposures, found.lost, folder)
+        result = replace(found, folder=folder)
         if staging is not None:
-            write_validation(result, fitted, staging)
+            write_validation(result, staging)
     return result
 
 
@@ -135,7 +174,7 @@ def validate_fit(fitted: FitResult, *, progress: Progress = silent) -> Validatio
                 blur=main.noise[0].blur_mm,
             )
         )
-    return ValidationResult(fitted.recording, tuple(out), fitted.lost)
+    return ValidationResult(fitted, tuple(out))
 
 
 def _measured(recording: Recording, pose: Pose | None) -> Callable[[Array], Array] | None:
@@ -148,12 +187,20 @@ def _measured(recording: Recording, pose: Pose | None) -> Callable[[Array], Arra
     return None if seen is None else lambda board: board_coordinates.measured(recording, seen, board)[0]
 
 
-def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) -> None:
+def write_validation(result: ValidationResult, folder: Path) -> None:
     """Write ``validation.json``, ``residuals.png``, ``fig8.png`` and the overlays."""
     write_text(folder / "validation.json", json.dumps(result.as_dict(), indent=1) + "\n")
-    traces, notes = [], []
+    for f, t in zip(result.fitted, drawn(result), strict=True):
+        draw_overlay(result.recording, f, t.stated, t.explained, folder)
+    pictures.save(result.plot_residuals(), folder / "residuals.png")
+    pictures.save(result.plot_traces(), folder / "fig8.png")
+
+
+def drawn(result: ValidationResult) -> list[pictures.Trace2D]:
+    """Every trace beside its models, as the pictures want it."""
+    traces = []
     screen = result.recording.screen
-    for v, f in zip(result.exposures, fitted.fitted, strict=True):
+    for v, f in zip(result.exposures, result.fitted, strict=True):
         main = trace.only_ridge(f.trace, 0)
         before, after = v.bench.before, v.bench.after
         weights = v.binned.weights
@@ -175,21 +222,7 @@ def write_validation(result: ValidationResult, fitted: FitResult, folder: Path) 
                 caption=_caption(v),
             )
         )
-        conic = vector.trace_conic(result.recording.mirror, f.exposure)
-        notes.append(
-            f"C = {_cm(f.exposure.mirror_position)} cm, azimuth {np.degrees(f.exposure.laser_azimuth):.0f}°, "
-            f"elevation {np.degrees(f.exposure.laser_elevation):.0f}°\n"
-            f"{conic.geometry.kind}, focus toward {conic.focus_side.replace('-', '−')}"
-        )
-        draw_overlay(result.recording, f, traces[-1].stated, traces[-1].explained, folder)
-    title = result.recording.title or result.recording.folder.name
-    pictures.residuals(folder / "residuals.png", traces, f"{title}: distance of the trace from the vector model")
-    cylinder = result.recording.mirror.stands_for
-    footer = (
-        f"{title}: measured and simulated; {cylinder} cylinder, board seen from the mirror's side "
-        "(from behind, as the paper seems to show it, left and right change)"
-    )
-    pictures.figure8(folder / "fig8.png", traces, result.recording.screen.size, notes, footer)
+    return traces
 
 
 def _on_board(curve: Curve, screen: Screen) -> Array:

@@ -10,7 +10,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from benchsim.reports.pictures import EXPLAINED, GREY, MEASURED, STATED, _plain, _save
+from benchsim.reports.pictures import EXPLAINED, GREY, MEASURED, STATED, _plain, save
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def calibration(
     axes.set_ylabel("residuals of a view, rms (px)")
     _plain(axes)
     figure.suptitle(title, fontsize=11)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _residuals(axes, resolution, names, corners, residuals) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.result import Diagnosis, Stretch
-from benchsim.reports.pictures import EXPLAINED, GREY, MEASURED, STATED, _plain, _save, _tone
+from benchsim.reports.pictures import EXPLAINED, GREY, MEASURED, STATED, _plain, _tone, save
 from benchsim.reports.vocabulary import BENCH
 
 Array = NDArray[np.float64]
@@ -59,12 +59,14 @@ def residuals(folder: Path, problem: Problem, d: Diagnosis, title: str) -> list[
     for page, first in enumerate(pages, 1):
         path = folder / ("residuals.png" if page == 1 else f"residuals-{page}.png")
         blocks = range(first, min(first + PER_PAGE, len(problem.names)))
-        _residual_page(path, problem, d, blocks, title if len(pages) == 1 else f"{title} ({page} of {len(pages)})")
+        named = title if len(pages) == 1 else f"{title} ({page} of {len(pages)})"
+        save(residual_figure(problem, d, blocks, named), path)
         out.append(path)
     return out
 
 
-def _residual_page(path: Path, problem: Problem, d: Diagnosis, blocks: range, title: str) -> None:
+def residual_figure(problem: Problem, d: Diagnosis, blocks: range, title: str) -> Figure:
+    """The residuals of some exposures, each above its own left-out ones."""
     r = d.residuals
     held = np.isfinite(r.held_out_after).any()
     columns = min(len(blocks), 3)
@@ -95,7 +97,7 @@ def _residual_page(path: Path, problem: Problem, d: Diagnosis, blocks: range, ti
     if held:
         explained += "; left out: predicted from the other settings"
     figure.suptitle(fill(f"{title}: {explained}", 52 * columns), fontsize=10)
-    _save(figure, path)
+    return figure
 
 
 def _alone(problem: Problem, block: int, sigma: Array) -> Array:
@@ -182,7 +184,7 @@ def observables(path: Path, problem: Problem, d: Diagnosis, title: str) -> None:
         fill(f"{title}: whitened residuals of every observable; noise alone gives about 1", 34 * len(kinds)),
         fontsize=10,
     )
-    _save(figure, path)
+    save(figure, path)
 
 
 def _norm(problem: Problem, block: int, here: NDArray[np.bool_], values: Array, sigma: Array) -> float:
@@ -196,12 +198,11 @@ def _ones_twos_fives(x: float, _: int | None) -> str:
     return f"{x:g}" if f"{x:.0e}"[0] in "25" else ""
 
 
-def probability(path: Path, d: Diagnosis, catalogue: Sequence[Effect], title: str, prior: float = 0.02) -> None:
+def probability(d: Diagnosis, catalogue: Sequence[Effect], title: str, prior: float = 0.02) -> Figure:
     """Probability of every effect to be present, on a scale of log odds.
 
     Parameters
     ----------
-    path : Path
     d : Diagnosis
     catalogue : sequence of Effect
         Gives order and elements.
@@ -260,7 +261,7 @@ def probability(path: Path, d: Diagnosis, catalogue: Sequence[Effect], title: st
         if first and i and first[0]:
             axes.axhline(first[0] - 0.5, color="#d0d0d0", linewidth=0.7)
     figure.suptitle(f"{title}: what the recordings say of every effect", fontsize=10)
-    _save(figure, path)
+    return figure
 
 
 def _beside(axes: Axes):  # type: ignore[no-untyped-def]  # matplotlib's own transforms have no public type
@@ -356,4 +357,4 @@ def located(path: Path, ridge: Ridge, stretches: Sequence[Stretch], problem: Pro
     below.set_ylabel("distance from the\nprediction (mm)", fontsize=9)
     below.legend(fontsize=7, ncol=2, loc="best")
     figure.suptitle(fill(title, 110), fontsize=10)
-    _save(figure, path)
+    save(figure, path)

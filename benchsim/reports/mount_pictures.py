@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from benchsim.diagnosis.result import Residuals
-from benchsim.reports.pictures import EXPLAINED, GREY, STATED, _plain, _save
+from benchsim.reports.pictures import EXPLAINED, GREY, STATED, _plain, save
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def residuals(path: Path, source: Array, r: Residuals, unit: str, title: str) ->
         axes.set(xlabel="number of the record", ylabel=f"{word} ({unit})")
     figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncol=4, frameon=False)
     figure.suptitle(f"{title}: recorded less predicted direction, over the sky and by record", fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
 def prediction(
@@ -114,4 +114,4 @@ def prediction(
     axes.set(xlabel="number of the record", ylabel=f"miss ({unit})")
     axes.legend(fontsize=8, frameon=False, ncol=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     figure.suptitle(title, fontsize=10)
-    _save(figure, path)
+    save(figure, path)

@@ -52,7 +52,7 @@ class Trace2D:
     caption: str
 
 
-def _save(figure: Figure, path: Path, dpi: int = 130) -> None:
+def save(figure: Figure, path: Path, dpi: int = 130) -> None:
     for text in figure.findobj(Text):
         # A dollar in a name begins no formula; powers on logarithmic axes are Matplotlib's own.
         if "$" in text.get_text() and "\\mathdefault" not in text.get_text():
@@ -133,14 +133,14 @@ def overlay(
         main.add_patch(_square(u, v, half))
         main.annotate(letter, (u + 1.4 * half, v), color="white", fontsize=9, va="center")
     figure.suptitle(title, fontsize=11)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _square(u: float, v: float, half: float) -> Rectangle:
     return Rectangle((u - half, v - half), 2 * half, 2 * half, fill=False, edgecolor="white", linewidth=0.8)
 
 
-def residuals(path: Path, traces: Sequence[Trace2D], title: str) -> None:
+def residuals(traces: Sequence[Trace2D], title: str) -> Figure:
     """Distance of each trace from the vector model along the curve: at the stated setting, and after the settings."""
     figure = Figure(figsize=(6.2 * min(len(traces), 2) + 0.6, 4.6 * -(-len(traces) // 2) + 0.5), layout="constrained")
     columns = min(len(traces), 2)
@@ -173,17 +173,14 @@ def residuals(path: Path, traces: Sequence[Trace2D], title: str) -> None:
             side.set_ylabel("of the normal (mrad)", fontsize=8)
             side.tick_params(labelsize=8)
     figure.suptitle(title, fontsize=11)
-    _save(figure, path)
+    return figure
 
 
-def figure8(
-    path: Path, traces: Sequence[Trace2D], size: tuple[float, float], notes: Sequence[str], footer: str
-) -> None:
+def figure8(traces: Sequence[Trace2D], size: tuple[float, float], notes: Sequence[str], footer: str) -> Figure:
     """Measured and simulated projections of every exposure on the screen, as in the paper's Fig. 8.
 
     Parameters
     ----------
-    path : Path
     traces : sequence of Trace2D
     size : (2,) mm
         The board along y and z.
@@ -210,4 +207,4 @@ def figure8(
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncol=3 if columns > 1 else 1)
     figure.suptitle(fill(footer, 62 * columns), fontsize=9)
-    _save(figure, path)
+    return figure

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from benchsim.reports.pictures import _save
+from benchsim.reports.pictures import save
 
 Array = NDArray[np.float64]
 
@@ -91,4 +91,4 @@ def _page(path: Path, exposures: Sequence[Strip], title: str) -> None:
     if colour is not None:
         figure.colorbar(colour, ax=list(grid), shrink=0.4, label="z: residual in sigmas of a pixel's noise")
     figure.suptitle(title, fontsize=11)
-    _save(figure, path)
+    save(figure, path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_csv
 from benchsim.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 Array = NDArray[np.float64]
 
@@ -71,7 +75,7 @@ def _none(*shape: int) -> Array:
     return np.zeros(shape)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trace:
     """The ridges of one exposure, one entry per kept profile across a ridge, (n,) each.
 
@@ -149,6 +153,28 @@ class Trace:
     def points(self) -> Array:
         """y, z of the centres, (n, 2) mm."""
         return np.stack([self.y_mm, self.z_mm], axis=1)
+
+    def __repr__(self) -> str:
+        ridges = f", {count} ridges" if (count := len(np.unique(self.ridge))) > 1 else ""
+        sigma = f", ±{1e3 * np.median(self.sigma_mm):.1f} µm each" if len(self) else ""
+        return f"<Trace of {self.exposure}: {len(self)} profiles{ridges}{sigma}>"
+
+    def to_pandas(self) -> DataFrame:
+        """A row for every profile, with the columns of ``trace.csv``."""
+        import pandas as pd
+
+        return pd.DataFrame({"exposure": self.exposure, **{name: getattr(self, name) for name in HEADER[1:]}})
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the centres on the board as it is seen from the mirror's side, each ridge in a colour of its own."""
+        from matplotlib.figure import Figure
+
+        ax = Figure(layout="constrained").add_subplot() if ax is None else ax
+        for ridge in np.unique(self.ridge):
+            mine = self.ridge == ridge
+            ax.plot(self.y_mm[mine], self.z_mm[mine], ".", markersize=2, label=f"ridge {ridge}")
+        ax.set(xlabel="board y (mm)", ylabel="board z (mm)", title=self.exposure, aspect="equal")
+        return ax
 
 
 def only_ridge(trace: Trace, ridge: int = 0) -> Trace:

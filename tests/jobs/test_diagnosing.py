@@ -5,6 +5,7 @@ itself finds is tested where it lives, and end to end below on a recording of on
 """
 
 import json
+import pickle
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -90,6 +91,17 @@ def test_the_folder_holds_json_text_amended_and_pictures(recording, tmp_path, qu
     assert "screen-bow" in text and "One exposure alone" in text and "amended.toml holds" in text
     stamp = json.loads((tmp_path / "out" / "benchsim.json").read_text())
     assert stamp["command"] == "diagnose" and stamp["options"]["against"] == "bench"
+
+
+def test_a_diagnosis_without_a_folder_is_all_in_hand(recording, tmp_path, quick, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = jobs.diagnose(read(recording))
+    assert result.verdict == "named" and result.effects[0].parameters["bow_z"].value == 0.03
+    assert result.amended.effects == {"screen-bow": {"bow_z": 0.03}} and "written" not in result.summary()
+    assert len(result.plot_residuals().axes) == 1 and len(result.figures()) == 2
+    assert "screen-bow" in result._repr_html_() and len(repr(result)) < 200
+    assert repr(pickle.loads(pickle.dumps(result))) == repr(result)
+    assert {p.name for p in tmp_path.iterdir()} == {"recording"}
 
 
 def test_the_amended_file_is_diagnosed_as_it_stands(recording, tmp_path, quick):

@@ -40,6 +40,13 @@ def heliostat(tmp_path):
     return tmp_path
 
 
+def test_without_a_folder_nothing_is_written(heliostat):
+    before = sorted(p.name for p in heliostat.iterdir())
+    found = predict(heliostat / "amended.toml", heliostat / "late")
+    assert found.records and found.folder is None and "written" not in found.summary()
+    assert sorted(p.name for p in heliostat.iterdir()) == before
+
+
 def predicted(folder, **options):
     return predict(folder / "amended.toml", folder / "late", folder / "out", draw=False, **options)
 

@@ -50,7 +50,7 @@ def test_more_exposures_than_fit_go_to_a_second_page(made, tmp_path, monkeypatch
 
 def test_the_longest_bar_is_the_named_effect_s(made, tmp_path):
     """The screen's colour reaches as far right as its probability; the camera's stays left of the prior."""
-    pictures.probability(tmp_path / "p.png", made.diagnosis, made.problem.catalogue, "six")
+    pictures.save(pictures.probability(made.diagnosis, made.problem.catalogue, "six"), tmp_path / "p.png")
     picture = drawn(tmp_path / "p.png")
     reach = {}
     for element in ("screen", "camera"):
