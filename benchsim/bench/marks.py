@@ -24,7 +24,10 @@ def read_marks(path: Path) -> Marks:
         Naming file and line.
     """
     if not path.exists():
-        raise BenchsimError(f"{path.name}: not there (looked in {path.parent}); add it, or mend screen.marks")
+        raise BenchsimError(
+            f"{path.name}: not there (looked in {path.parent}); add it ('benchsim board' makes one), "
+            "or mend screen.marks"
+        )
     try:
         text = read_file(path, TABLE_BYTES).decode("utf-8-sig")
         rows = [row for row in csv.reader(io.StringIO(text, newline="")) if row]

@@ -105,7 +105,8 @@ class DiagnosisResult(Diagnosed):
         """Plain sentences for ``summary.txt``."""
         r = self.recording
         put = amended_file.put_in(r, self.amended)
-        sentence = "amended.toml holds the recording's file with what was found put in"
+        where = "amended" if self.folder is None else "amended.toml"
+        sentence = f"{where} holds the recording's file with what was found put in"
         return summary(
             self.diagnosis,
             About(

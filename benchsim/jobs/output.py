@@ -46,11 +46,11 @@ def written(folder: Path | None) -> str:
     return "" if folder is None else f"\nwritten: {folder}/"
 
 
-def lasting_folder() -> Path:
-    """A folder for what nobody asked to keep; it lasts as long as this process."""
+def lasting_folder(name: str) -> Path:
+    """Where to put what nobody asked to keep, under a name for people; it lasts as long as this process."""
     folder = Path(mkdtemp(prefix="benchsim-"))
     atexit.register(rmtree, folder, ignore_errors=True)
-    return folder
+    return folder / file_name(name)
 
 
 @contextmanager

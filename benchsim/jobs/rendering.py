@@ -121,7 +121,7 @@ def render(
     recording = given(bench, images=False, allow_outside=allow_outside)
     recording = replace(recording, effects=override(recording.effects, effects))
     bench_effects.check(recording)
-    folder = lasting_folder() if output is None else Path(output)
+    folder = lasting_folder(recording.title or recording.path.stem) if output is None else Path(output)
     options = {
         "seed": seed,
         # The stamp lies in the folder: what is concealed must not stand there either.

@@ -34,7 +34,7 @@ class Shown:
             png = BytesIO()
             figure.savefig(png, format="png", dpi=90, facecolor="white")
             pictures.append(f'<img alt="" src="data:image/png;base64,{b64encode(png.getvalue()).decode()}">')
-        return f'<pre style="white-space: pre-wrap">{escape(self.summary())}</pre>' + "".join(pictures)
+        return f'<pre style="white-space: pre-wrap; font-size: 85%">{escape(self.summary())}</pre>' + "".join(pictures)
 
 
 class Diagnosed(Shown):

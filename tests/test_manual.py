@@ -1,0 +1,80 @@
+"""README and manual: short where they should be, true of the commands they name, and built without a warning."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+
+from benchsim.cli import app
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted(
+    p
+    for pattern in ("*.md", "docs/**/*.md", "benchsim/**/*.md", "scenes/**/*.md", "analysis/**/*.md")
+    for p in ROOT.glob(pattern)
+    if "gathered" not in p.parts
+)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+def named(path):
+    return str(path.relative_to(ROOT))
+
+
+def commands_in(text):
+    """Command lines of benchsim in the code of a page: blocks, and spans that begin with its name."""
+    blocks = re.findall(r"```\w*\n(.*?)```", text, re.S)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    for line in [*lines, *re.findall(r"`(benchsim [^`\n]+)`", text)]:
+        for part in re.split(r"&&|;|\|", line):
+            if match := re.match(r"\s*(?:\$ |\S*/bin/)?benchsim (\S.*)", part):
+                yield match.group(1)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_commands_that_a_page_names_are_there(page):
+    for line in commands_in(page.read_text(encoding="utf-8")):
+        words, command = shlex.split(line, comments=True), typer.main.get_command(app)
+        while words and hasattr(command, "commands") and not words[0].startswith("-"):
+            assert words[0] in command.commands, f"benchsim {line}"
+            command = command.commands[words.pop(0)]
+        options = {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {"--help", "-h"}
+        assert {w.partition("=")[0] for w in words if re.match(r"--?[a-z]", w)} <= options, f"benchsim {line}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_what_a_page_links_to_is_there(page):
+    for to in LINK.findall(page.read_text(encoding="utf-8")):
+        if not to.startswith(("http", "mailto", "#")):
+            assert (page.parent / to.partition("#")[0]).exists(), to
+
+
+def test_the_front_page_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+    assert sum(p.stat().st_size for p in (ROOT / "docs" / "pictures").iterdir()) <= 300_000
+
+
+def built(folder, *options):
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", *options, str(ROOT / "docs"), str(folder)]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+def test_the_manual_is_built_without_a_warning(tmp_path):
+    """Its tutorials are not run here, which takes a minute; `built` without the option does."""
+    done = built(tmp_path, "-D", "nb_execution_mode=off")
+    assert done.returncode == 0, done.stderr
+    api = (tmp_path / "api.html").read_text(encoding="utf-8")
+    import benchsim
+
+    functions = [name for name in benchsim.__all__ if name[0].islower()]
+    assert not [name for name in functions if f'id="benchsim.{name}"' not in api]
+
+
+@pytest.mark.slow
+def test_the_tutorials_run(tmp_path):
+    done = built(tmp_path)
+    assert done.returncode == 0, done.stderr
