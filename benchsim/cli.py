@@ -525,7 +525,9 @@ def trial_key(
 @app.command()
 def calibrate(
     photos: Annotated[list[Path], typer.Argument(help="A dozen photographs of the board, or the folder they are in.")],
-    board: Annotated[Path, typer.Option(help="marks.csv of the board, corrected by what its print measures.")],
+    board: Annotated[
+        Path, typer.Option("--board", "--marks", help="The board's marks.csv, corrected by what its print measures.")
+    ],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write; default ./camera.toml.")] = None,
     name: Annotated[str, typer.Option(help="What the camera is called in recordings.")] = "A",
     gamma: Annotated[
@@ -557,7 +559,7 @@ def new(
         list[Path] | None, typer.Option("--photos", help="Photographs with their dark pictures, or a folder of them.")
     ] = None,
     calibration: Annotated[Path | None, typer.Option(help="camera.toml of 'benchsim calibrate'.")] = None,
-    marks: Annotated[Path | None, typer.Option(help="The board's marks.csv.")] = None,
+    marks: Annotated[Path | None, typer.Option("--board", "--marks", help="The board's marks.csv.")] = None,
     json: Json = False,
 ) -> None:
     """Begin a recording from photographs. What they say is filled in, what only you know is marked."""

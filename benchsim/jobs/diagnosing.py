@@ -125,7 +125,7 @@ class DiagnosisResult(Diagnosed):
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
         missing = "".join(f"\nnot drawn: {sentence}" for sentence in self.not_drawn)
-        return f"{self.text()}\n{missing}{written(self.folder)}"
+        return f"{self.text()}\n{missing}{written(self.folder, page=True)}"
 
 
 def diagnose(

@@ -224,7 +224,7 @@ class MountDiagnosis(Diagnosed):
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        return f"{self.text()}\n{written(self.folder)}"
+        return f"{self.text()}\n{written(self.folder, page=True)}"
 
 
 def diagnose(

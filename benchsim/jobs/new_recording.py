@@ -99,7 +99,7 @@ def new(
     calibrated = read_camera(Path(calibration)) if calibration is not None else None
     if marks is not None:
         if not Path(marks).exists():
-            raise BenchsimError(f"{marks}: not there; give --marks the marks.csv that 'benchsim board' wrote")
+            raise BenchsimError(f"{marks}: not there; give --board the marks.csv that 'benchsim board' wrote")
         read_marks(Path(marks))
     paths = _listed(photos)
     read, light = [], []

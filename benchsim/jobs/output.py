@@ -41,9 +41,11 @@ def label(recording: Recording) -> str:
     return printable(folder if file == "recording.toml" else f"{folder}/{file}")
 
 
-def written(folder: Path | None) -> str:
-    """Last line of a summary: where the results are, if anywhere."""
-    return "" if folder is None else f"\nwritten: {folder}/"
+def written(folder: Path | None, page: bool = False) -> str:
+    """Last line of a summary: where the results are, if anywhere, and the page to open."""
+    if folder is None:
+        return ""
+    return f"\nwritten: {folder}/" + (f"; open {folder / 'report.html'}" if page else "")
 
 
 def lasting_folder(name: str) -> Path:

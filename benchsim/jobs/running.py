@@ -14,7 +14,7 @@ from benchsim.bench.files import read, sources
 from benchsim.bench.model import Recording
 from benchsim.jobs import exhibits
 from benchsim.jobs.fitting import FitResult, fit_recording, write_fit
-from benchsim.jobs.output import default_folder, output_folder
+from benchsim.jobs.output import default_folder, output_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.rendering import render_into
 from benchsim.jobs.reporting import report
@@ -46,7 +46,13 @@ class RunResult(Shown):
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        return f"{self.fit.summary()}\n\n{self.validation.summary()}\n\nwritten: {self.folder}/"
+        drawn = (
+            "The photographs were rendered with errors that hands make, drawn from [uncertainty]: the stated\n"
+            "setting is off by those, and whether the model agrees is told with the settings fitted.\n"
+            if self.rendered
+            else ""
+        )
+        return f"{self.fit.summary()}\n\n{self.validation.summary()}\n{drawn}{written(self.folder, page=True)}"
 
 
 def run(

@@ -121,7 +121,7 @@ def test_another_picture_of_that_name_is_not_overwritten(phone, tmp_path):
 
 
 def test_marks_that_are_not_there(phone, tmp_path):
-    with pytest.raises(BenchsimError, match=r"none\.csv: not there; give --marks"):
+    with pytest.raises(BenchsimError, match=r"none\.csv: not there; give --board"):
         jobs.new(tmp_path / "mine", [phone], marks=tmp_path / "none.csv")
     assert not (tmp_path / "mine").exists()
 
