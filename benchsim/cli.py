@@ -560,13 +560,17 @@ def new(
     ] = None,
     calibration: Annotated[Path | None, typer.Option(help="camera.toml of 'benchsim calibrate'.")] = None,
     marks: Annotated[Path | None, typer.Option("--board", "--marks", help="The board's marks.csv.")] = None,
+    like: Annotated[
+        Path | None, typer.Option(help="Bench file or recording of the same bench, whose values are taken over.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Begin a recording from photographs. What they say is filled in, what only you know is marked."""
     from benchsim import jobs
 
     _do(
-        jobs.new, json, folder=folder, photos=[*(photos or []), *(more or [])], calibration=calibration, marks=marks
+        jobs.new, json, folder=folder, photos=[*(photos or []), *(more or [])], calibration=calibration, marks=marks,
+        like=like,
     )  # fmt: skip
 
 

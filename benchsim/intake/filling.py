@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, get_args
@@ -102,6 +102,35 @@ def recording_toml(
             "",
         ]
     )
+
+
+def alike(text: str, other: Mapping[str, Any], cameras: bool) -> str:
+    """The text with "?" replaced by what another file of the same bench has there, and its uncertainty taken over.
+
+    Parameters
+    ----------
+    text : str
+        As `recording_toml` makes it.
+    other : mapping
+        What the other file holds.
+    cameras : bool
+        Whether its cameras are taken over too, those with the same name and as many pixels.
+    """
+    document = tomlkit.parse(text)
+
+    def take(mine: Any, theirs: Any, *, all_of_it: bool) -> None:
+        for key, value in (theirs or {}).items():
+            if key in mine and (all_of_it or mine[key] == UNFILLED):
+                mine[key] = value
+
+    for name in ("laser", "mirror", "screen"):
+        take(document[name], other.get(name), all_of_it=False)
+    take(document["uncertainty"], other.get("uncertainty"), all_of_it=True)
+    for name, camera in (other.get("cameras", {}) if cameras else {}).items():
+        mine: Any = document["cameras"]
+        if name in mine and mine[name]["resolution_px"] == camera.get("resolution_px"):
+            take(mine[name], camera, all_of_it=True)
+    return tomlkit.dumps(document)
 
 
 def _format() -> str:

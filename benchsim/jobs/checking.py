@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.files import complaints, read, sources
+from benchsim.bench.files import UNFILLED, complaints, read, sources
 from benchsim.bench.model import Recording
 from benchsim.bench.names import printable
 from benchsim.bench.paths import inside
-from benchsim.bench.reading import file_hash
+from benchsim.bench.reading import TOML_BYTES, file_hash, read_file
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
@@ -58,7 +59,7 @@ class CheckResult:
         for kind, title in ((Kind.missing, "MISSING"), (Kind.inconsistent, "INCONSISTENT"), (Kind.remark, "REMARKS")):
             some = [f for f in self.findings if f.kind is kind]
             if some:
-                lines += [f"{title} ({len(some)})", *(f"  {f.where}: {f.says}" for f in some)]
+                lines += [f"{title} ({len(some)})", *(f"  {where}: {says}" for where, says in _folded(some))]
         if self.usable:
             lines.append(f"{self.name}: {self.exposures} exposures, nothing missing and nothing inconsistent")
             lines.append(f"next: benchsim diagnose {self.folder}")
@@ -67,6 +68,25 @@ class CheckResult:
             lines.append(f"{self.name}: not ready{what}")
             lines.append(f"next: mend {self.folder}/recording.toml or the pictures, then benchsim check {self.folder}")
         return "\n".join(lines)
+
+
+def _folded(findings: Sequence[Finding]) -> list[tuple[str, str]]:
+    """Where and what, the same of several exposures in one: ``exposure[1–5].laser_azimuth_deg``."""
+    numbers: dict[tuple[str, str, str], list[int]] = {}
+    for f in findings:
+        before, number, after = re.fullmatch(r"(?:(.*exposure\[)(\d+))?(.*)", f.where, re.S).groups()  # type: ignore[union-attr]
+        numbers.setdefault((before or "", after, f.says), []).append(int(number or 0))
+    out = []
+    for (before, after, says), some in numbers.items():
+        runs: list[list[int]] = []
+        for n in some if before else ():
+            if runs and n == runs[-1][-1] + 1:
+                runs[-1].append(n)
+            else:
+                runs.append([n])
+        words = ", ".join(f"{run[0]}–{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+        out.append((before + words + after, says))
+    return out
 
 
 def check(
@@ -126,10 +146,23 @@ def check(
 def _keys(path: Path) -> list[Finding]:
     """Keys that are missing or cannot be read."""
     absent = ("not filled in", "required and missing")
-    return [
-        Finding(Kind.missing if mend.startswith(absent) else Kind.inconsistent, key, mend)
-        for key, mend in complaints(path)
-    ]
+    hints: dict[str, str] | None = None
+    out = []
+    for key, mend in complaints(path):
+        if mend.startswith(absent[0]):
+            hints = _hints(path) if hints is None else hints
+            mend = f"not filled in; {hints.get(key.rpartition('.')[2]) or mend.partition('; ')[2]}"
+        out.append(Finding(Kind.missing if mend.startswith(absent) else Kind.inconsistent, key, mend))
+    return out
+
+
+def _hints(path: Path) -> dict[str, str]:
+    """What the file itself says of a key that is to be filled in, at the first place where it does."""
+    text = read_file(path / "recording.toml" if path.is_dir() else path, TOML_BYTES).decode("utf-8-sig")
+    hints: dict[str, str] = {}
+    for key, says in re.findall(rf'^\s*(\w+) *= *"{re.escape(UNFILLED)}" *# *(.*)$', text, re.M):
+        hints.setdefault(key, printable(says.strip()))
+    return hints
 
 
 def _split(message: str) -> tuple[str, str]:

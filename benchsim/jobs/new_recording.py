@@ -12,12 +12,14 @@ from typing import Any
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import UNFILLED, complaints
+from benchsim.bench.files import read as read_bench
 from benchsim.bench.marks import read_marks
 from benchsim.bench.names import printable
 from benchsim.bench.reading import file_hash
+from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
 from benchsim.calibration.record import read_camera
-from benchsim.intake.filling import Shot, cameras_of, recording_toml
+from benchsim.intake.filling import Shot, alike, cameras_of, recording_toml
 from benchsim.intake.pairing import laser_light, pair
 from benchsim.intake.photo import SUFFIXES, Photo, read_photo
 from benchsim.jobs.progress import Progress, silent
@@ -62,6 +64,7 @@ def new(
     *,
     calibration: Path | str | None = None,
     marks: Path | str | None = None,
+    like: Path | str | None = None,
     progress: Progress = silent,
 ) -> NewResult:
     """Begin a recording from photographs: a commented ``recording.toml``, the pictures and, if given, the marks.
@@ -76,6 +79,9 @@ def new(
         ``camera.toml`` of ``benchsim calibrate``; its camera tables and their uncertainty are copied.
     marks : path, optional
         The board's ``marks.csv``, copied.
+    like : path, optional
+        A bench file or recording of the same bench: its laser, mirror, screen and uncertainty are taken over, and
+        without a calibration its camera.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -120,6 +126,8 @@ def new(
     text = recording_toml(
         printable(target.resolve().name), shots, calibrated, str(marks) if marks else None, str(target)
     )
+    if like is not None:
+        text = alike(text, load_toml(read_bench(like).path), cameras=calibrated is None)
     _put(target, [(p.path, n) for p, n in zip(taken, names, strict=True)], Path(marks) if marks else None)
     write_text(file, text)
     progress("written", 1.0)

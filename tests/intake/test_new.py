@@ -155,3 +155,29 @@ def test_the_shells_expanded_list_is_understood(phone, tmp_path):
     assert done.exit_code == 0 and "3 exposures, 3 with a dark picture" in done.output
     checked = CliRunner().invoke(app, ["check", str(tmp_path / "mine")])
     assert checked.exit_code == 1 and "laser.wavelength_nm: not filled in" in checked.output
+
+
+def test_what_another_file_of_the_bench_states_need_not_be_filled_in_again(tmp_path):
+    """Scenario: the second recording of a bench; only what was set anew is asked for."""
+    (tmp_path / "photos").mkdir()
+    for k in range(3):
+        save(tmp_path / "photos" / f"{k}.jpg", picture(100 + 40 * k), 10.0 * k)
+    bench = MARKS.with_name("fig7a.toml")
+    done = jobs.new(tmp_path / "second", [tmp_path / "photos"], marks=MARKS, like=bench)
+    assert {key.rpartition(".")[2] for key in done.unfilled} - {"focal_px", "gamma"} == {
+        "laser_azimuth_deg", "laser_elevation_deg", "mirror_position_mm"
+    }  # fmt: skip
+    mine, theirs = (tomllib.loads(f.read_text()) for f in (tmp_path / "second" / "recording.toml", bench))
+    assert mine["mirror"] == theirs["mirror"] and mine["laser"].items() >= theirs["laser"].items()
+    assert "# over the polygon's corners, by caliper" in (tmp_path / "second" / "recording.toml").read_text()
+
+
+def test_what_is_missing_in_every_exposure_is_said_once_and_how_it_is_measured(tmp_path):
+    (tmp_path / "photos").mkdir()
+    for k in range(3):
+        save(tmp_path / "photos" / f"{k}.jpg", picture(100 + 40 * k), 10.0 * k)
+    jobs.new(tmp_path / "mine", [tmp_path / "photos"], marks=MARKS)
+    lines = jobs.check(tmp_path / "mine").summary().splitlines()
+    said = "of the direction toward the laser, from +x toward -y"
+    assert f"  exposure[1–3].laser_azimuth_deg: not filled in; {said}" in lines
+    assert "  mirror.diameter_mm: not filled in; over the polygon's corners, by caliper" in lines
