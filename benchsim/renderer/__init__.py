@@ -2,7 +2,18 @@
 
 Importing the room registers the plugins of `plugins` for whatever variant is set, now or later, so that plain
 ``mi.load_file`` and ``mi.render`` can use ``scenes/*.xml``. It sets no variant; `backend.use` does, and tests it.
+Where Mitsuba cannot be loaded the import is a BenchsimError: everything but rendering goes without it.
 """
+
+from benchsim.bench.errors import BenchsimError
+
+try:
+    import drjit  # noqa: F401
+    import mitsuba  # noqa: F401
+except ImportError as error:
+    raise BenchsimError(
+        f"nothing can be rendered here: Mitsuba cannot be loaded ({error}); pip install 'mitsuba>=3.9,<4'"
+    ) from None
 
 from benchsim.renderer import effects, plugins
 from benchsim.renderer.irradiance import ScreenMap, irradiance

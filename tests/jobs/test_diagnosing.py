@@ -7,6 +7,7 @@ itself finds is tested where it lives, and end to end below on a recording of on
 import json
 import pickle
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,6 +92,27 @@ def test_the_folder_holds_json_text_amended_and_pictures(recording, tmp_path, qu
     assert "screen-bow" in text and "One exposure alone" in text and "amended.toml holds" in text
     stamp = json.loads((tmp_path / "out" / "benchsim.json").read_text())
     assert stamp["command"] == "diagnose" and stamp["options"]["against"] == "bench"
+
+
+@pytest.fixture
+def no_mitsuba(monkeypatch):
+    """Neither Mitsuba nor Dr.Jit can be imported, and nothing that has imported them is known."""
+    for name in [m for m in sys.modules if m.startswith("benchsim.renderer")]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in ("mitsuba", "drjit"):
+        monkeypatch.setitem(sys.modules, name, None)
+
+
+def test_without_mitsuba_all_is_said_but_the_pixels(recording, tmp_path, monkeypatch, no_mitsuba):
+    monkeypatch.setattr(diagnosing.diagnosis, "diagnose", bowed)
+    result = jobs.diagnose(recording, tmp_path / "out")
+    (sentence,) = result.not_drawn
+    assert sentence.startswith("nothing can be rendered here: Mitsuba cannot be loaded")
+    assert (tmp_path / "out" / "report.html").exists() and not (tmp_path / "out" / "pixels.png").exists()
+    jobs.validate(recording)
+    with pytest.raises(BenchsimError, match="Mitsuba cannot be loaded"):
+        jobs.render(recording, tmp_path / "again")
+    assert not (tmp_path / "again").exists()
 
 
 def test_a_diagnosis_without_a_folder_is_all_in_hand(recording, tmp_path, quick, monkeypatch):
