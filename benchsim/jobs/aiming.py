@@ -18,6 +18,7 @@ from benchsim.instruments.mount.paint_heliostat import FAR_M, ORIGIN
 from benchsim.instruments.mount.records import UNITS, Array, Records, Session, numbers, toward
 from benchsim.jobs import amended_mounts
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 
 HIT_RAD = 1e-9
 """Of the beam: motor positions that miss by more are not given."""
@@ -26,8 +27,8 @@ STARTS = 5
 """Recorded positions nearest to the aim from which a solution is looked for."""
 
 
-@dataclass(frozen=True)
-class Aim:
+@dataclass(frozen=True, repr=False)
+class Aim(Shown):
     """Motor positions that hit.
 
     Attributes
@@ -194,7 +195,9 @@ def _solved(one: Session, session: Session) -> Array:
         return np.where(np.isfinite(rest), rest, 2.0)
 
     low, high = np.array([a.reach for a in session.mount.actuators]).T
-    middle = np.where(np.isfinite(low + high), (low + high) / 2, 2e4)
+    bounded = np.isfinite(low) & np.isfinite(high)
+    middle = np.full(2, 2e4)
+    middle[bounded] = (low[bounded] + high[bounded]) / 2
     known = session.records.reading
     ranked = sorted((np.clip(r, low, high) for r in known), key=lambda r: float(np.linalg.norm(off(r))))
     for start in [*ranked[:STARTS], middle]:

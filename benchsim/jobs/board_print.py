@@ -15,13 +15,14 @@ from benchsim.boards import PAPERS, Layout, corrected, draw, lay_out, tiles, who
 from benchsim.boards.layout import RULE
 from benchsim.jobs.output import output_folder
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 
 READING = 0.2
 """Error of a reading on a ruler [mm], 1 sigma: what `summary` translates into the marks' places."""
 
 
-@dataclass(frozen=True)
-class BoardResult:
+@dataclass(frozen=True, repr=False)
+class BoardResult(Shown):
     """What ``board`` wrote.
 
     Attributes

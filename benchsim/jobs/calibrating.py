@@ -15,6 +15,7 @@ from benchsim.calibration import BOARD, LENS, TARGETS, Calibration, is_camera, p
 from benchsim.calibration import calibrate as solve
 from benchsim.calibration.focus import MATTERS_POINT
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 from benchsim.jobs.workers import workers
 
 BOARD_SIGMA = 5.0
@@ -27,8 +28,8 @@ STRAY = 0.1
 """Nor are marks named that lie off by less than this [mm]."""
 
 
-@dataclass(frozen=True)
-class CalibrateResult:
+@dataclass(frozen=True, repr=False)
+class CalibrateResult(Shown):
     """What ``calibrate`` found and wrote.
 
     Attributes

@@ -24,13 +24,14 @@ from benchsim.intake.photo import Photo, read_photo
 from benchsim.intake.picture_content import look
 from benchsim.jobs.output import label, output_folder
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 
 SETTINGS_TO_HOLD_OUT = 3
 """Fewer settings leave none to test a diagnosis on."""
 
 
-@dataclass(frozen=True)
-class CheckResult:
+@dataclass(frozen=True, repr=False)
+class CheckResult(Shown):
     """What ``check`` found; ``looked`` says whether the pictures were looked at, which needs every key."""
 
     name: str

@@ -22,6 +22,7 @@ from benchsim.diagnosis.result import Limit
 from benchsim.instruments.bench import effects as bench_effects
 from benchsim.jobs.output import label, wanted_folder
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 from benchsim.jobs.workers import workers
 from benchsim.reports import effects_text
 from benchsim.reports.diagnosis_text import shapes_text
@@ -30,8 +31,8 @@ TOLD_AT = 10.0
 """Size in sigma at which effects are compared: at their caps many differ only because one cap is larger."""
 
 
-@dataclass(frozen=True)
-class CatalogueResult:
+@dataclass(frozen=True, repr=False)
+class CatalogueResult(Shown):
     """The catalogue as it stands."""
 
     entries: tuple[bench_effects.Entry, ...]
@@ -74,8 +75,8 @@ class CatalogueResult:
         return effects_text.catalogue(rows)
 
 
-@dataclass(frozen=True)
-class IsolabilityResult:
+@dataclass(frozen=True, repr=False)
+class IsolabilityResult(Shown):
     """What a set of settings and observables could show.
 
     Attributes

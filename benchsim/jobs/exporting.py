@@ -15,10 +15,11 @@ from benchsim.instruments.mount.absorbing import absorbed
 from benchsim.instruments.mount.json_values import load, triple
 from benchsim.jobs import amended_mounts
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 
 
-@dataclass(frozen=True)
-class Export:
+@dataclass(frozen=True, repr=False)
+class Export(Shown):
     """A heliostat's file that was written.
 
     Attributes

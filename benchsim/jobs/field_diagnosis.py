@@ -35,6 +35,7 @@ from benchsim.jobs.cluster import Scheduler, cluster
 from benchsim.jobs.mount_diagnosis import MountDiagnosis
 from benchsim.jobs.output import begun_folder, default_folder
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 from benchsim.reports import page
 
 FORMAT = "benchsim-field/1"
@@ -55,8 +56,8 @@ class Heliostat:
     tower: Path | None
 
 
-@dataclass(frozen=True)
-class FieldDiagnosis:
+@dataclass(frozen=True, repr=False)
+class FieldDiagnosis(Shown):
     """A finished field.
 
     Attributes

@@ -23,12 +23,13 @@ from benchsim.intake.filling import Shot, alike, cameras_of, recording_toml
 from benchsim.intake.pairing import laser_light, pair
 from benchsim.intake.photo import SUFFIXES, Photo, read_photo
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 
 FILE = "recording.toml"
 
 
-@dataclass(frozen=True)
-class NewResult:
+@dataclass(frozen=True, repr=False)
+class NewResult(Shown):
     """What ``new`` wrote: ``unfilled`` are the keys that only the user knows."""
 
     folder: Path

@@ -21,6 +21,7 @@ from benchsim.jobs import amended_mounts
 from benchsim.jobs.aiming import Aim, aim_at
 from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
 from benchsim.reports import mount_pictures
 
 TOLD = 20
@@ -60,8 +61,8 @@ class Miss:
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in vars(self).items()}
 
 
-@dataclass(frozen=True)
-class Prediction:
+@dataclass(frozen=True, repr=False)
+class Prediction(Shown):
     """Misses of recordings.
 
     Attributes

@@ -5,12 +5,13 @@ from __future__ import annotations
 from base64 import b64encode
 from html import escape
 from io import BytesIO
+from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-from benchsim.diagnosis.problem import Effect
-from benchsim.diagnosis.result import Class, Diagnosis, Found
-from benchsim.reports import diagnosis_pictures
+    from benchsim.diagnosis.problem import Effect
+    from benchsim.diagnosis.result import Class, Diagnosis, Found
 
 
 class Shown:
@@ -69,6 +70,8 @@ class Diagnosed(Shown):
 
     def plot_probability(self) -> Figure:
         """Probability that an effect is there, of every effect of the catalogue."""
+        from benchsim.reports import diagnosis_pictures
+
         return diagnosis_pictures.probability(self.diagnosis, self.catalogue, self.title)
 
     def figures(self) -> list[Figure]:
