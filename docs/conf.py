@@ -23,7 +23,10 @@ numpydoc_class_members_toctree = False
 autodoc_member_order = "bysource"
 suppress_warnings = ["myst.header", "myst-nb.lexer"]
 
-gathered.write(Path(__file__).parent / "gathered")
+
+def gather(app, config):
+    """Pages that are made; those who do not run the tutorials do without pictures that take time too."""
+    gathered.write(Path(__file__).parent / "gathered", pictures=config.nb_execution_mode != "off")
 
 
 def relinked(app, docname, source):
@@ -33,4 +36,5 @@ def relinked(app, docname, source):
 
 
 def setup(app):
+    app.connect("config-inited", gather)
     app.connect("source-read", relinked)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import click
+import effect_pictures
 import typer
 
 from benchsim.cli import app
@@ -32,15 +33,16 @@ ROOMS = {
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 
 
-def write(folder: Path) -> None:
-    """Make all of these pages in a folder of the manual."""
+def write(folder: Path, pictures: bool = True) -> None:
+    """Make all of these pages in a folder of the manual; pictures of the effects take half a minute."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for name, path in ROOMS.items():
         text = (ROOT / path).read_text(encoding="utf-8")
         (folder / f"{name}.md").write_text(relinked(text, (ROOT / path).parent, f"gathered/{name}"), encoding="utf-8")
     (folder / "help.md").write_text("# What the commands take\n\n" + "\n".join(_help()), encoding="utf-8")
-    (folder / "catalogue.md").write_text("\n".join(_catalogue()), encoding="utf-8")
+    drawn = effect_pictures.draw(folder) if pictures else {}
+    (folder / "catalogue.md").write_text("\n".join(_catalogue(drawn)), encoding="utf-8")
 
 
 def relinked(text: str, folder: Path, page: str) -> str:
@@ -81,11 +83,13 @@ def _help() -> Iterator[str]:
             yield f"## {name}\n\n```text\n{command.get_help(context)}\n```\n"
 
 
-def _catalogue() -> Iterator[str]:
+def _catalogue(drawn: Mapping[str, str]) -> Iterator[str]:
     yield "# The catalogue of effects\n"
     yield (
         "What `diagnose` looks for on a bench. The range of a parameter is what is plausible; each amplitude has a "
-        "prior of half of it. In a bench file: `[effects.NAME]` with these parameters.\n"
+        "prior of half of it. A picture shows what it does at its cap, and where it would be seen at five sigma: what "
+        "setting errors can do too does not count, so that this may lie far outside the noise. In a bench file: "
+        "`[effects.NAME]` with these parameters.\n"
     )
     element = ""
     for e in CATALOGUE:
@@ -93,6 +97,8 @@ def _catalogue() -> Iterator[str]:
             element = e.element
             yield f"## {element.capitalize()}\n"
         yield from _entry(e)
+        if e.name in drawn:
+            yield f"![{e.name}]({e.name}.png)\n\n{drawn[e.name]}\n"
 
 
 def _entry(e: Entry) -> Iterator[str]:
