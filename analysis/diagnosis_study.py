@@ -4,7 +4,7 @@
     python analysis/diagnosis_study.py run photographs --rows clean,single --cases 100 --seed 2 --out out/study
     python analysis/diagnosis_study.py run stressed --rows single,pair,clean --cases 20 --seed 3 --out out/study
     python analysis/diagnosis_study.py run foreign --rows single,clean --cases 12 --seed 4 --other "python other.py"
-    python analysis/diagnosis_study.py table out/study/*.jsonl          # or analysis/study/traces-660213.jsonl.xz
+    python analysis/diagnosis_study.py table out/study/*.jsonl          # or analysis/study/traces-660223.jsonl.xz
 
 Pictures of the tier *foreign* are made by a program that is not this project's, called as ``OTHER TRUTH.toml FOLDER
 --seed N``: a bench file to the contract with ``[effects]`` and ``[render]``, which it turns into a recording without
