@@ -73,11 +73,7 @@ def _folder(output: Path | None, source: Path, command: str) -> Path:
     """Where a command writes: the folder that was said, or ./NAME-COMMAND/."""
     from benchsim.jobs.output import default_folder
 
-    try:
-        return output or default_folder(source, command)
-    except OSError:
-        # What is wrong with such a name the job says when it reads it.
-        return Path(command)
+    return output or default_folder(source, command)
 
 
 def _unprinted(error: OSError) -> NoReturn:

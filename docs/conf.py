@@ -32,7 +32,7 @@ def gather(app, config):
 def relinked(app, docname, source):
     """Links of pages that are read in the repository too, as the manual has them."""
     if not docname.startswith("gathered/"):
-        source[0] = gathered.relinked(source[0], Path(__file__).parent, docname)
+        source[0] = gathered.relinked(source[0], (Path(__file__).parent / docname).parent, docname)
 
 
 def setup(app):

@@ -110,7 +110,7 @@ class DiagnosisResult(Diagnosed):
         return summary(
             self.diagnosis,
             About(
-                title=label(r),
+                title=self.title,
                 exposures=len(self.problem.names),
                 settings=len(set(self.problem.groups)),
                 against=self.against,
@@ -292,7 +292,7 @@ def not_judged(recording: Recording, against: str) -> tuple[str, ...]:
 def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progress = silent) -> tuple[str, ...]:
     """Draw a diagnosis into the folder that holds it; returns what could not be drawn, in sentences."""
     d, problem = result.diagnosis, result.problem
-    title = label(result.recording)
+    title = result.title
     progress("drawing", 0.78)
     pictures.residuals(folder, problem, d, title)
     pictures.observables(folder / "observables.png", problem, d, title)

@@ -30,9 +30,10 @@ _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headle
 def default_folder(source: Path, command: str) -> Path:
     """``./NAME-COMMAND/``, NAME being the file's stem or the folder's name."""
     path = source.resolve()
-    if path.is_file() and path.name == "recording.toml":
+    if os.path.isfile(path) and path.name == "recording.toml":
         path = path.parent
-    return Path(f"{file_name(path.stem if path.is_file() else path.name)}-{command}")
+    # False for a name that no file can have, too, which is told when it is read.
+    return Path(f"{file_name(path.stem if os.path.isfile(path) else path.name)}-{command}")
 
 
 def label(recording: Recording) -> str:

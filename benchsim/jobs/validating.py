@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +53,13 @@ class ValidationResult(Shown):
     def _title(self) -> str:
         return self.recording.title or self.recording.folder.name
 
+    @cached_property
+    def _drawn(self) -> list[pictures.Trace2D]:
+        return _beside_models(self)
+
     def plot_residuals(self) -> Figure:
         """Distance of each trace from the vector model, at the stated setting and with the settings fitted."""
-        return pictures.residuals(drawn(self), f"{self._title}: distance of the trace from the vector model")
+        return pictures.residuals(self._drawn, f"{self._title}: distance of the trace from the vector model")
 
     def plot_traces(self) -> Figure:
         """Measured and simulated traces on the board, as the paper's Fig. 8."""
@@ -70,7 +75,7 @@ class ValidationResult(Shown):
             f"{self._title}: measured and simulated; {mirror.stands_for} cylinder, board seen from the mirror's side "
             "(from behind, as the paper seems to show it, left and right change)"
         )
-        return pictures.figure8(drawn(self), screen.size, notes, footer)
+        return pictures.figure8(self._drawn, screen.size, notes, footer)
 
     def figures(self) -> list[Figure]:
         """Both pictures."""
@@ -190,13 +195,13 @@ def _measured(recording: Recording, pose: Pose | None) -> Callable[[Array], Arra
 def write_validation(result: ValidationResult, folder: Path) -> None:
     """Write ``validation.json``, ``residuals.png``, ``fig8.png`` and the overlays."""
     write_text(folder / "validation.json", json.dumps(result.as_dict(), indent=1) + "\n")
-    for f, t in zip(result.fitted, drawn(result), strict=True):
+    for f, t in zip(result.fitted, result._drawn, strict=True):
         draw_overlay(result.recording, f, t.stated, t.explained, folder)
     pictures.save(result.plot_residuals(), folder / "residuals.png")
     pictures.save(result.plot_traces(), folder / "fig8.png")
 
 
-def drawn(result: ValidationResult) -> list[pictures.Trace2D]:
+def _beside_models(result: ValidationResult) -> list[pictures.Trace2D]:
     """Every trace beside its models, as the pictures want it."""
     traces = []
     screen = result.recording.screen
