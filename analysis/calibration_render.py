@@ -33,12 +33,7 @@ def main() -> int:
     cv2.setNumThreads(1)
     bench = read(ROOT / "scenes" / "phone" / "bench.toml", images=False)
     camera = next(iter(bench.cameras.values()))
-    half = replace(
-        camera,
-        resolution=(camera.resolution[0] // 2, camera.resolution[1] // 2),
-        focal=camera.focal / 2,
-        principal_point=tuple((x + 0.5) / 2 - 0.5 for x in camera.principal_point),
-    )
+    half = camera.binned(2)
     bench = replace(bench, cameras={half.name: half}, exposures=bench.exposures[:1])
     phone = Phone(contrast=0.0, sharpening=0.0) if options.plain else Phone()
     print("seed  parameter               truth      found      error      sigma   pull")

@@ -35,12 +35,13 @@ if TYPE_CHECKING:
     from benchsim.jobs.predicting import predict
     from benchsim.jobs.reporting import report
     from benchsim.jobs.running import run
+    from benchsim.jobs.sample_recording import sample
     from benchsim.jobs.validating import validate
 
 __all__ = [
     "Bench", "BenchsimError", "Camera", "Exposure", "Laser", "Mirror", "Physics", "Recording", "Screen", "Uncertainty",
     "aim", "board", "calibrate", "check", "diagnose", "effects", "export", "field", "fit", "load", "new", "predict",
-    "render", "report", "run", "validate",
+    "render", "report", "run", "sample", "validate",
 ]  # fmt: skip
 
 __version__ = "0.1.0"

@@ -550,6 +550,20 @@ def calibrate(
 
 
 @app.command()
+def sample(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make.")],
+    seed: Annotated[int, typer.Option(help="Decides what is concealed.", min=0)] = 1,
+    answer: Annotated[bool, typer.Option("--answer", help="Say what was concealed; nothing is rendered.")] = False,
+    json: Json = False,
+    variant: Variant = None,
+) -> None:
+    """Make a small recording to try the other commands on. Something is concealed in it."""
+    from benchsim import jobs
+
+    _do(jobs.sample, json, folder=folder, seed=seed, answer=answer, variant=variant)
+
+
+@app.command()
 def new(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make; holds the recording afterwards.")],
     more: Annotated[

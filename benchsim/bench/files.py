@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+import benchsim
 from benchsim.bench import schema
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import FORMS, Field, field
@@ -39,7 +40,7 @@ from benchsim.bench.reading import MOST_PIXELS
 from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write
 
-__all__ = ["UNFILLED", "complaints", "read", "sources", "write"]
+__all__ = ["UNFILLED", "complaints", "read", "shipped", "sources", "write"]
 
 UNFILLED = "?"
 """Value of a key that only the person at the bench knows, in a file that was begun for them."""
@@ -55,6 +56,15 @@ _TABLE_MODELS: dict[str, type[BaseModel]] = {
     "render": schema.RenderTable,
     "exposure": schema.ExposureTable,
 }
+
+
+def shipped(name: str) -> Recording:
+    """A bench that comes with the package, by the name of its file in ``scenes/``."""
+    package = Path(benchsim.__file__).parent
+    for folder in (package / "scenes", package.parent / "scenes"):
+        if (folder / name).is_file():
+            return read(folder / name)
+    raise BenchsimError(f"scenes/{name}: not found beside the package; install benchsim anew")
 
 
 def read(path: str | Path, *, images: bool | None = None, allow_outside: bool = False) -> Recording:

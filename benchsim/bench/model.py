@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from benchsim.bench.fields import Field as FreeField
@@ -101,6 +101,12 @@ class Camera:
     gamma: float | str = 1.0
     black_level: float = 0.0
     saturation_level: float = 65535.0
+
+    def binned(self, k: int) -> Camera:
+        """The same camera with k × k pixels taken as one."""
+        (w, h), (cx, cy) = self.resolution, self.principal_point
+        centre = ((cx + 0.5) / k - 0.5, (cy + 0.5) / k - 0.5)
+        return replace(self, resolution=(w // k, h // k), focal=self.focal / k, principal_point=centre)
 
 
 @dataclass(frozen=True)

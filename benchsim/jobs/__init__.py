@@ -21,6 +21,7 @@ _MODULES = {
     "calibrate": "calibrating",
     "new": "new_recording",
     "check": "checking",
+    "sample": "sample_recording",
     "predict": "predicting",
     "aim": "aiming",
     "export": "exporting",
@@ -41,6 +42,7 @@ __all__ = [
     "render",
     "report",
     "run",
+    "sample",
     "validate",
 ]
 

@@ -8,9 +8,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-import benchsim
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.files import read, sources
+from benchsim.bench.files import read, shipped, sources
 from benchsim.bench.model import Recording
 from benchsim.jobs import exhibits
 from benchsim.jobs.fitting import FitResult, fit_recording, write_fit
@@ -126,10 +125,6 @@ def run(
 
 def _figure7() -> tuple[Recording, list[Path]]:
     """Both settings of Fig. 7 as one bench, from the scenes that come with the package."""
-    package = Path(benchsim.__file__).parent
-    folder = next((f for f in (package / "scenes", package.parent / "scenes") if (f / "fig7a.toml").is_file()), None)
-    if folder is None:
-        raise BenchsimError("scenes/fig7a.toml: not found beside the package; name a bench file, or install it anew")
-    a, b = (read(folder / f"fig7{letter}.toml", images=False) for letter in "ab")
+    a, b = (shipped(f"fig7{letter}.toml") for letter in "ab")
     both = replace(a, exposures=a.exposures + b.exposures, title="Fig. 7 of Carretero et al. 2019")
     return both, [b.path, *sources(a)]

@@ -1,8 +1,8 @@
 """Processes of this machine with one thread each: tasks as they are finished, or a ``map`` for pieces of a job.
 
 They are spoken to over pairs of sockets without a name, which nobody else can open, and end when those are closed:
-with the job, or when it is killed. Where workers cannot be had (one core, a script without an
-``if __name__ == "__main__"`` guard, a machine that forbids them) a ``map`` is done in this process.
+with the job, or when it is killed. They never run the script that started them. Where workers cannot be had (one
+core, what is to be done is the script's own, a machine that forbids them) a ``map`` is done in this process.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import sys
 import threading
 import traceback
 from collections import deque
@@ -18,6 +19,7 @@ from contextlib import closing, contextmanager
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -68,7 +70,7 @@ class _Process:
         self.connection, other = context.Pipe()
         self._kept: deque[Callable[..., Any]] = deque(maxlen=FUNCTIONS_KEPT)
         self._process = context.Process(target=_serve, args=(other,))
-        with environment(ONE_THREAD | MEMORY_KEPT):
+        with environment(ONE_THREAD | MEMORY_KEPT), _no_script():
             self._process.start()
         # Its end is then its own alone, and closed when it dies.
         other.close()
@@ -251,6 +253,17 @@ def environment(values: Mapping[str, str]) -> Iterator[None]:
                 os.environ[key] = value
 
 
+@contextmanager
+def _no_script() -> Iterator[None]:
+    """Processes that are started within do not import the script, which would do again all that has no guard."""
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
+
+
 def _serve(connection: Connection) -> None:
     """Of a process: do what comes, until nobody is there to send more.
 
@@ -289,9 +302,12 @@ def _batch(function: Any, tasks: bytes) -> list[Any]:
 
 def _sendable(what: Any) -> bytes:
     try:
-        return pickle.dumps(what, protocol=pickle.HIGHEST_PROTOCOL)
+        data = pickle.dumps(what, protocol=pickle.HIGHEST_PROTOCOL)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise Unsent(str(error)) from error
+    if b"__main__" in data:
+        raise Unsent("it is made of what the script defines")
+    return data
 
 
 def _packed(result: Any) -> bytes:

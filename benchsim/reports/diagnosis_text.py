@@ -240,7 +240,7 @@ def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     for s in sorted(where.along_trace, key=lambda s: -s.z)[:6]:
         lines.append(f"  {s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace, {s.z:.1f} sigma")
     if len(where.along_trace) > 6:
-        lines.append(f"  and {len(where.along_trace) - 6} weaker stretches (diagnosis.json lists them)")
+        lines.append(f"  and weaker stretches: {len(where.along_trace) - 6} (diagnosis.json lists them)")
     if d.law is not None:
         if d.law.terms:
             terms = ", ".join(f"{value:.3g} · {term}" for term, value in d.law.terms.items())

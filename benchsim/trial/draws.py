@@ -9,16 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-import benchsim
-from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, field
-from benchsim.bench.files import read
-from benchsim.bench.model import Camera, Exposure, Recording
+from benchsim.bench.files import shipped
+from benchsim.bench.model import Exposure, Recording
 from benchsim.diagnosis.evidence import amplitudes
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect
@@ -39,21 +36,12 @@ NEAREST = 0.8
 """Part of the mirror's radius by which a concealed offset may bring its facets nearer to the axis."""
 
 
-def campaign() -> Recording:
-    """The bench of twelve settings that comes with the package, from which benches are drawn."""
-    package = Path(benchsim.__file__).parent
-    for folder in (package / "scenes", package.parent / "scenes"):
-        if (folder / "campaign12.toml").is_file():
-            return read(folder / "campaign12.toml")
-    raise BenchsimError("scenes/campaign12.toml: not found beside the package; install benchsim anew")
-
-
 def bench(design: str, rng: np.random.Generator, shrink: int = 1) -> Recording:
     """A recording's settings: ``six`` near those of the campaign, ``campaign`` itself, or ``fig7``, the two of Fig. 7.
 
     ``shrink`` divides the cameras' resolution.
     """
-    whole = campaign()
+    whole = shipped("campaign12.toml")
     every = whole.exposures
     if design == "fig7":
         chosen = [every[0], every[1]]
@@ -67,7 +55,7 @@ def bench(design: str, rng: np.random.Generator, shrink: int = 1) -> Recording:
     shifted = moved(chosen, rng)
     placed = shifted if design == "six" else tuple(chosen)
     used = {e.camera for e in placed}
-    cameras = {name: smaller(c, shrink) for name, c in whole.cameras.items() if name in used}
+    cameras = {name: c.binned(shrink) for name, c in whole.cameras.items() if name in used}
     return replace(whole, exposures=placed, cameras=cameras)
 
 
@@ -87,17 +75,6 @@ def moved(exposures: Sequence[Exposure], rng: np.random.Generator) -> tuple[Expo
             )
         )
     return tuple(out)
-
-
-def smaller(camera: Camera, shrink: int) -> Camera:
-    """The same camera with so many times fewer pixels each way."""
-    (w, h), (cx, cy) = camera.resolution, camera.principal_point
-    return replace(
-        camera,
-        resolution=(w // shrink, h // shrink),
-        focal=camera.focal / shrink,
-        principal_point=((cx + 0.5) / shrink - 0.5, (cy + 0.5) / shrink - 0.5),
-    )
 
 
 def shapes(effect: Effect, rng: np.random.Generator) -> dict[str, float]:

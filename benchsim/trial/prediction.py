@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field, field
-from benchsim.bench.files import read
+from benchsim.bench.files import read, shipped
 from benchsim.bench.model import Recording
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.instruments.bench import observables
@@ -51,12 +51,12 @@ class Predicted:
 
 def kept_back(bench: Recording, rng: np.random.Generator) -> Recording:
     """The bench at settings of the campaign that it does not use, moved about as those of a case."""
-    whole = draws.campaign()
+    whole = shipped("campaign12.toml")
     used = {e.setting for e in bench.exposures}
     free = [e for e in whole.exposures if e.setting not in used]
     chosen = [free[int(i)] for i in np.sort(rng.choice(len(free), min(SETTINGS, len(free)), replace=False))]
     shrink = whole.cameras[chosen[0].camera].resolution[0] // next(iter(bench.cameras.values())).resolution[0]
-    cameras = {e.camera: draws.smaller(whole.cameras[e.camera], shrink) for e in chosen}
+    cameras = {e.camera: whole.cameras[e.camera].binned(shrink) for e in chosen}
     moved = draws.moved(chosen, rng)
     return replace(bench, exposures=moved, cameras=cameras)
 

@@ -55,13 +55,18 @@ def test_the_environment_is_left_as_it_was(monkeypatch):
     assert os.environ["OMP_NUM_THREADS"] == "7" and "MKL_NUM_THREADS" not in os.environ
 
 
-def test_a_script_without_a_guard_gets_its_results(tmp_path):
-    """Workers cannot start under such a script; the work is then done in its own process."""
+def test_a_script_without_a_guard_is_run_once(tmp_path):
+    """Its processes do not import it: what it does before and after is done once, and they work nevertheless. What it
+    defines itself is done in its own process."""
     script = tmp_path / "unguarded.py"
     script.write_text(
-        "import operator\nfrom benchsim.jobs.workers import workers\n"
-        "with workers(2) as w:\n    print(sum(w.spread(operator.mul, range(20), range(20))))\n"
+        "import operator, os\nfrom benchsim.jobs.workers import workers\nprint('begun')\n"
+        "def own(n):\n    return os.getpid()\n"
+        "with workers(2) as w:\n"
+        "    print(sum(w.spread(operator.mul, range(20), range(20))))\n"
+        "    print({*w.spread(eval, [\"__import__('os').getpid()\"] * 9)} & {os.getpid()})\n"
+        "    print({*w.spread(own, range(3))} == {os.getpid()})\n"
     )
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split()[-1] == str(sum(n * n for n in range(20)))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.split("\n") == ["begun", str(sum(n * n for n in range(20))), "set()", "True", ""]
