@@ -8,14 +8,15 @@
 Each command is the function of its name here; it takes a path or what another has returned, and writes where told.
 What these functions and classes are made of is looked up when they are first used, so that this import stays light.
 
-Mitsuba's ``llvm_*`` variants need a shared libLLVM, which Dr.Jit looks up once, when it is first
-imported. The wheel ``karellen-llvm-core`` brings one; this module points Dr.Jit to it and imports
-nothing heavy. A path the user set in ``DRJIT_LIBLLVM_PATH`` is left alone.
+Mitsuba's ``llvm_*`` variants need a shared libLLVM, which Dr.Jit looks up once, when it is first imported; this module
+points Dr.Jit to one that works (`llvm`). A path the user set in ``DRJIT_LIBLLVM_PATH`` is left alone.
 """
 
 import os
 import sys
 from typing import TYPE_CHECKING, Any
+
+from benchsim.llvm import find
 
 if TYPE_CHECKING:
     from benchsim.api import load, render
@@ -50,28 +51,12 @@ __version__ = "0.1.0"
 llvm_import_order: str | None = None
 
 
-def _bundled_llvm() -> str | None:
-    """Path of the libLLVM that the wheel ``karellen-llvm-core`` installed, or None."""
-    from importlib.metadata import PackageNotFoundError, files
-
-    try:
-        entries = files("karellen-llvm-core") or []
-    except PackageNotFoundError:
-        return None
-    for entry in entries:
-        if entry.name.startswith("libLLVM.so."):
-            path = entry.locate()
-            if os.path.exists(path):
-                return os.path.realpath(path)
-    return None
-
-
 if "DRJIT_LIBLLVM_PATH" not in os.environ:
-    _path = _bundled_llvm()
+    _path = find()
     if _path is not None:
         if "drjit" in sys.modules or "mitsuba" in sys.modules:
             llvm_import_order = (
-                "drjit or mitsuba was imported before benchsim, so the libLLVM that benchsim brings was not "
+                "drjit or mitsuba was imported before benchsim, so the libLLVM that benchsim chose was not "
                 "used: move the line 'import benchsim' above 'import mitsuba' and 'import drjit'."
             )
         else:

@@ -610,7 +610,7 @@ def _stop(number: int, _: Any) -> NoReturn:
 def main() -> None:
     """Entry point of the console script."""
     # A shell may have said that its end is to be outlived.
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in (getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)):
         if signal.getsignal(number) == signal.SIG_DFL:
             signal.signal(number, _stop)
     try:

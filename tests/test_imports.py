@@ -40,6 +40,7 @@ ALLOWED = {
         "renderer",
         "instruments",
     },
+    "llvm": set(),
     "api": {"bench", "jobs"},
     "trial": {"bench", "diagnosis", "rays", "renderer", "instruments", "jobs"},
     "cli": {"bench", "jobs", "trial"},

@@ -1,17 +1,22 @@
 """Files and folders made under a temporary name beside their place: what a kill left there, the next run takes away.
 
-Whoever makes one holds a lock on it, which the kernel drops when he dies, however he does.
+Whoever makes one holds a lock on it, which the kernel drops when he dies, however he does. Windows has none that lets
+what is locked be moved: there what a killed process left stays, since it may be in use.
 """
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:
+    fcntl = None  # type: ignore[assignment]
 
 OLD = "old"
 """In a staging folder: what was at its target, put aside for the moment in which the new is moved there."""
@@ -30,25 +35,33 @@ def staged(target: Path, *, folder: bool = True) -> Iterator[Path]:
     """
     sweep(target)
     while True:
+        handle: int | None = None
         if folder:
             staging = Path(tempfile.mkdtemp(dir=target.parent, prefix=_prefix(target)))
-            handle = os.open(staging, os.O_RDONLY)
+            if fcntl:
+                handle = os.open(staging, os.O_RDONLY)
         else:
             handle, name = tempfile.mkstemp(dir=target.parent, prefix=_prefix(target))
             staging = Path(name)
+            if not fcntl:
+                os.close(handle)
+                handle = None
         try:
             # Before it was locked, another may have taken it for a stale one.
-            if _locked(handle) is not False and staging.exists():
+            if (handle is None or _locked(handle) is not False) and staging.exists():
                 yield staging
                 return
         finally:
             # Locked until it is gone, and nobody else removes it meanwhile.
             _remove(staging, target)
-            os.close(handle)
+            if handle is not None:
+                os.close(handle)
 
 
 def sweep(target: Path) -> None:
     """Remove what killed processes left beside ``target``; what they had put aside of it is put back."""
+    if not fcntl:
+        return
     prefix = _prefix(target)
     try:
         stale = [p for p in target.parent.iterdir() if p.name.startswith(prefix)]

@@ -83,3 +83,18 @@ def test_a_stop_on_the_way_leaves_nothing(tmp_path):
         with pytest.raises(error), staged(tmp_path / "out"):
             raise error
     assert not os.listdir(tmp_path)
+
+
+def test_where_the_machine_has_no_locks_files_and_folders_are_made_all_the_same(tmp_path):
+    """As on Windows; what another left stays, since it may be in use."""
+    (tmp_path / ".out-benchsim-12345678").mkdir()
+    code = (
+        "import sys\nsys.modules['fcntl'] = None\nfrom pathlib import Path\n"
+        "from benchsim.bench.writing import write_text\nfrom benchsim.jobs.output import output_folder\n"
+        "write_text(Path('file'), 'x')\n"
+        "for k in range(2):\n    with output_folder(Path('out'), 'fit', []) as f:\n        (f / f'{k}').touch()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert sorted(os.listdir(tmp_path)) == [".out-benchsim-12345678", "file", "out"]
+    assert sorted(os.listdir(tmp_path / "out")) == ["1", "benchsim.json"]
