@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 from benchsim.llvm import find
 
 if TYPE_CHECKING:
+    __version__: str
+
     from benchsim.api import load, render
     from benchsim.bench.errors import BenchsimError
     from benchsim.bench.model import Camera, Exposure, Laser, Mirror, Physics, Recording, Screen, Uncertainty
@@ -45,8 +47,6 @@ __all__ = [
     "render", "report", "run", "sample", "validate",
 ]  # fmt: skip
 
-__version__ = "0.1.0"
-
 #: Sentence shown when drjit was imported before benchsim and no libLLVM was chosen; None if all is well.
 llvm_import_order: str | None = None
 
@@ -64,6 +64,10 @@ if "DRJIT_LIBLLVM_PATH" not in os.environ:
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("benchsim")
     if name not in __all__:
         raise AttributeError(f"module 'benchsim' has no attribute {name!r}")
     from importlib import import_module
