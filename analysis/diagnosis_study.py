@@ -51,7 +51,7 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
 from benchsim.instruments.bench import amended_file, displacement, observables
 from benchsim.instruments.bench import problem as bench_problem
-from benchsim.jobs.workers import MEMORY_KEPT
+from benchsim.jobs.workers import MEMORY_KEPT, end_with_parent
 from benchsim.trial.hashing import code
 
 ROWS = (
@@ -290,7 +290,8 @@ def run(
     todo = [(row, k) for k in range(cases) for row in rows if (row, k) not in done]
     with ExitStack() as stack:
         file = stack.enter_context(path.open("a", encoding="utf-8"))
-        pools = [stack.enter_context(ProcessPoolExecutor(1, mp_context=get_context("spawn"))) for _ in range(workers)]
+        own = {"mp_context": get_context("spawn"), "initializer": end_with_parent}
+        pools = [stack.enter_context(ProcessPoolExecutor(1, **own)) for _ in range(workers)]
         futures = [pools[k % workers].submit(call, row, seed, k) for row, k in todo]
         for i, future in enumerate(as_completed(futures), 1):
             case = future.result()

@@ -270,7 +270,7 @@ def _serve(connection: Connection) -> None:
     The terminal's Ctrl-C goes to all processes; the job ends those it started itself. A parent that was killed cannot,
     but the pipe that it held is then closed.
     """
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     import cv2
 
@@ -287,11 +287,16 @@ def _serve(connection: Connection) -> None:
         connection.send_bytes(_packed(ended(_batch, kept[-1 if place is None else place], tasks)))
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
+    """Of a process that was spawned: end as soon as its parent does, in the midst of whatever it is at."""
     parent = parent_process()
     assert parent is not None
-    parent.join()
-    os._exit(1)
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def _batch(function: Any, tasks: bytes) -> list[Any]:
