@@ -154,6 +154,7 @@ def _recording(
     factor = enlarged(exposures)
     pictures = [_picture(x, photographs[x["photograph"]], factor) for x in exposures if x["photograph"] in photographs]
     pictures.sort(key=lambda p: -p["worst"])
+    reach = page_plots.reach(exposures, before)
     return {
         "extra": extra,
         "stamp": stamp,
@@ -165,7 +166,7 @@ def _recording(
                 "name": x["exposure"],
                 "setting": x["setting"],
                 "same": x["same"],
-                "figure": page_plots.residuals(x, before, vocabulary.of(extra)),
+                "figure": page_plots.residuals(x, reach, before, vocabulary.of(extra)),
             }
             for x in exposures
         ],
