@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from benchsim.instruments.bench import amended_file, candidates, displacement, e
 from benchsim.instruments.bench import problem as bench_problem
 from benchsim.instruments.bench.prediction import Predict
 from benchsim.jobs import exhibits
+from benchsim.jobs.effect_sizes import Moves, moves
 from benchsim.jobs.output import label, wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
@@ -60,6 +61,8 @@ class DiagnosisResult(Diagnosed):
         Where it was written.
     not_drawn : tuple of str
         One sentence for each picture that could not be made.
+    moves : mapping
+        What the effects that were found move, see `effect_sizes.moves`.
     """
 
     recording: Recording
@@ -71,6 +74,7 @@ class DiagnosisResult(Diagnosed):
     against: str
     folder: Path | None = None
     not_drawn: tuple[str, ...] = ()
+    moves: Moves = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -119,6 +123,7 @@ class DiagnosisResult(Diagnosed):
                 remarks=self.remarks,
                 defaults=r.defaults_used,
                 amended=f"{sentence}: {', '.join(put)}." if put else "",
+                moves=self.moves,
             ),
         )
 
@@ -193,7 +198,7 @@ def diagnose(
             amended_file.write_amended(result.amended, staging / "amended.toml", folder)
         if pictures:
             result = replace(result, not_drawn=draw(result, folder, pool, progress))
-        exhibits.write_diagnosis(checked, result.problem, result.diagnosis, folder, photographs=pictures)
+        exhibits.write_diagnosis(checked, result.problem, result.diagnosis, result.moves, folder, photographs=pictures)
         report(folder)
     progress("done", 1.0)
     return alone(result)
@@ -241,6 +246,7 @@ def diagnose_recording(
         remarks=(*remarks(recording, observed), *said, *not_judged(recording, against)),
         against=against,
         folder=folder,
+        moves=moves(recording, problem, found),
     )
 
 

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from benchsim import rays, trace
 from benchsim.bench.model import Camera, Exposure, Recording
+from benchsim.bench.settings import NAMES
 from benchsim.bench.writing import write_bytes, write_text
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.result import Diagnosis
+from benchsim.diagnosis.result import Diagnosis, Size
 from benchsim.instruments.bench.board_coordinates import View
-from benchsim.instruments.bench.prediction import Predict
+from benchsim.instruments.bench.prediction import UNITS, Predict
 from benchsim.instruments.bench.validation import ExposureValidation
+from benchsim.jobs.effect_sizes import Moves
 from benchsim.jobs.fitting import FittedExposure
 from benchsim.jobs.output import label
 from benchsim.reports.page import FORMAT
@@ -41,7 +43,9 @@ SMOOTH = 12
 """Terms of the misfit that is drawn over a photograph: as many smooth modes as a trace is tested for."""
 
 
-def write_diagnosis(recording: Recording, problem: Problem, d: Diagnosis, folder: Path, photographs: bool) -> None:
+def write_diagnosis(
+    recording: Recording, problem: Problem, d: Diagnosis, moves: Moves, folder: Path, photographs: bool
+) -> None:
     """Write ``page.json`` of a diagnosis, and with ``photographs`` those.
 
     Parameters
@@ -50,6 +54,8 @@ def write_diagnosis(recording: Recording, problem: Problem, d: Diagnosis, folder
     problem : Problem
         Of the bench: its prediction knows where every trace lies in its photograph.
     d : Diagnosis
+    moves : mapping
+        What the effects that were found move.
     folder : Path
         Of ``diagnosis.json``.
     photographs : bool
@@ -91,6 +97,8 @@ def write_diagnosis(recording: Recording, problem: Problem, d: Diagnosis, folder
         },
         "catalogue": [{"name": e.name, "element": e.element, "says": e.says} for e in problem.catalogue],
         "exposures": rows,
+        "moves": {name: {**_size(size), "how": how} for name, (size, how) in moves.items()},
+        "priors": {p.name: {"sigma": p.sigma, "unit": p.unit} for p in problem.nuisances},
     }
     _write(extra, recording, used, folder, photographs)
 
@@ -128,6 +136,7 @@ def write_validation(
                 np.sqrt(np.diag(covariance)),
                 1 / np.sqrt(np.diag(np.linalg.inv(covariance))),
             )
+            | {"profiles": len(main.points), "departures": _departures(v)}
         )
     extra = {
         "format": FORMAT,
@@ -138,6 +147,17 @@ def write_validation(
         "exposures": rows,
     }
     _write(extra, recording, [f.exposure for f in fitted], folder, photographs=True)
+
+
+def _departures(v: ExposureValidation) -> dict[str, Any]:
+    """Fitted setting errors of an exposure, in mm and mrad."""
+    per = np.array([1.0 if unit == "mm" else 1e3 for unit in UNITS])
+    rows = zip(NAMES, UNITS, (per * v.bench.theta).tolist(), (per * v.bench.sigma).tolist(), strict=True)
+    return {name: _size(Size(value, sigma, unit)) for name, unit, value, sigma in rows if name in v.bench.pulls}
+
+
+def _size(size: Size) -> dict[str, Any]:
+    return {"value": size.value, "sigma": size.sigma if np.isfinite(size.sigma) else None, "unit": size.unit}
 
 
 @dataclass(frozen=True)

@@ -111,12 +111,12 @@ def run(
         fitted = fit_recording(recording, progress=lambda what, done: progress(what, 0.5 + 0.2 * done))
         write_fit(fitted, staging)
         validation = validate_fit(fitted, progress=lambda what, done: progress(what, 0.7 + 0.2 * done))
-        progress("drawing", 0.9)
-        write_validation(validation, staging)
+        write_validation(validation, staging, progress=lambda what, done: progress(what, 0.9 + 0.08 * done))
         result = RunResult(folder, not all(photographed), fitted, validation)
         (staging / "summary.txt").write_text(result.summary() + "\n", encoding="utf-8")
+        progress("photographs for the page", 0.98)
         exhibits.write_validation(recording, fitted.fitted, validation.exposures, staging)
-    report(folder)
+    report(folder, progress=lambda what, done: progress(what, 0.98 + 0.02 * done))
     if not result.rendered:
         return result
     lies = replace(fitted, recording=replace(recording, path=folder / "recording" / "recording.toml"))

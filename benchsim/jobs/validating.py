@@ -97,7 +97,7 @@ class ValidationResult(Shown):
         """What a person wants to know, on a terminal."""
         wide = max(16, *(len(v.name) for v in self.exposures))
         heads = ("stated setting", "settings fitted", "p", "agrees")
-        lines = ["rms distance from the vector model, on the screen and as a lean of the normal:"]
+        lines = ["rms distance of single profiles from the model, and as a lean of the normal:"]
         lines.append(f"{'':<{wide}}{heads[0]:>23}{heads[1]:>20}{heads[2]:>7}  {heads[3]}")
         words = {True: "yes", False: "no", None: "cannot tell"}
         for v in self.exposures:
@@ -109,8 +109,11 @@ class ValidationResult(Shown):
                 f"{after['p_value']:7.3f}  {words[v.agrees]}"
             )
         r = self.recording.mirror.radius
-        lines.append(f"of it the polygon; r = {r:.1f} mm neglected, normal kept or aimed without it;")
-        lines.append("and p of the model as printed, without polygon and beam:")
+        lines += [
+            "What approximations move the model's trace by, rms: a cylinder for the polygon;",
+            f"reflection on the axis, not r = {r:.1f} mm from it, the normal as it is or aimed as",
+            "if r were 0. And p of the model as printed, a cylinder and a single ray:",
+        ]
         for v in self.exposures:
             lines.append(
                 f"{v.name:<{wide}}{v.polygon_mm:9.3f} mm{v.radius_mm:10.2f} mm{v.radius_own_aim_mm:8.3f} mm"
@@ -156,7 +159,7 @@ def validate(
         found = validate_fit(fitted, progress=lambda what, done: progress(what, 0.5 + 0.4 * done))
         result = replace(found, folder=folder)
         if staging is not None:
-            write_validation(result, staging)
+            write_validation(result, staging, progress=lambda what, done: progress(what, 0.9 + 0.1 * done))
     return result
 
 
@@ -192,12 +195,16 @@ def _measured(recording: Recording, pose: Pose | None) -> Callable[[Array], Arra
     return None if seen is None else lambda board: board_coordinates.measured(recording, seen, board)[0]
 
 
-def write_validation(result: ValidationResult, folder: Path) -> None:
+def write_validation(result: ValidationResult, folder: Path, *, progress: Progress = silent) -> None:
     """Write ``validation.json``, ``residuals.png``, ``fig8.png`` and the overlays."""
     write_text(folder / "validation.json", json.dumps(result.as_dict(), indent=1) + "\n")
-    for f, t in zip(result.fitted, result._drawn, strict=True):
+    steps = len(result.exposures) + 2
+    for k, (f, t) in enumerate(zip(result.fitted, result._drawn, strict=True)):
+        progress(f"drawing {f.exposure.name}", k / steps)
         draw_overlay(result.recording, f, t.stated, t.explained, folder)
+    progress("drawing the residuals", (steps - 2) / steps)
     pictures.save(result.plot_residuals(), folder / "residuals.png")
+    progress("drawing the traces", (steps - 1) / steps)
     pictures.save(result.plot_traces(), folder / "fig8.png")
 
 

@@ -5,6 +5,7 @@ They are made from ``diagnosis.json`` alone, so that whatever was kept can be to
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -101,6 +102,30 @@ def leftover(d: Json, words: Vocabulary = BENCH) -> str:
         else:
             rows.append(f"something smooth in the {name}")
     return f"Left: {listed(rows)}." if rows else ""
+
+
+_LONE = re.compile(r"(.+): mark (.+) lies off its neighbours and is left out")
+
+
+def gathered(remarks: Sequence[str]) -> list[str]:
+    """Remarks with those on single marks as one, in the place of the first."""
+    marks: dict[str, list[str]] = {}
+    out: list[str] = []
+    for remark in remarks:
+        lone = _LONE.fullmatch(remark)
+        if lone is None:
+            out.append(remark)
+            continue
+        if not marks:
+            at = len(out)
+        marks.setdefault(lone[1], []).append(lone[2])
+    if marks:
+        where = "; ".join(f"{', '.join(names)} in {picture}" for picture, names in marks.items())
+        count = sum(map(len, marks.values()))
+        start = "1 mark lies off its" if count == 1 else f"{count} marks lie off their"
+        cause = "a fault of the board would show in every one of three or more photographs"
+        out.insert(at, f"{start} neighbours, taken as mismeasured ({cause}) and left out: {where}.")
+    return out
 
 
 def contradictions(d: Json) -> list[str]:

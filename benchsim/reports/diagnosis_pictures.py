@@ -72,6 +72,10 @@ def residual_figure(problem: Problem, d: Diagnosis, blocks: range, title: str) -
     columns = min(len(blocks), 3)
     rows = -(-len(blocks) // columns)
     panels = 2 if held else 1
+    drawn = [r.before, r.after, r.held_out_before, r.held_out_after]
+    # Traces are compared, on further pages too: one scale for all.
+    shown = np.abs(np.stack(drawn))[:, problem.kind == "c"]
+    reach = 1.15 * max(float(np.max(shown, where=np.isfinite(shown), initial=0.0)), 1e-12)
     figure = Figure(figsize=(5.2 * columns + 0.5, (1.55 * panels + 0.55) * rows + 1.1), layout="constrained")
     grid = figure.add_gridspec(rows * panels, columns)
     for i, b in enumerate(blocks):
@@ -81,6 +85,7 @@ def residual_figure(problem: Problem, d: Diagnosis, blocks: range, title: str) -
         for j, (before, after, word) in enumerate(pairs):
             axes = figure.add_subplot(grid[row * panels + j, column], sharex=top)
             _residual_panel(axes, problem, b, before, after, r.sigma, _alone(problem, b, r.sigma))
+            axes.set_ylim(-reach, reach)
             if j == 0:
                 top = axes
                 name = f"{problem.names[b]}, setting {problem.groups[b]}"
@@ -127,8 +132,6 @@ def _residual_panel(
     _bands(axes, s, sigma[order], alone[order - rows.start])
     axes.plot(s, before[order], "o", color=BEFORE, markersize=2.6, markerfacecolor="none", label="before")
     axes.plot(s, after[order], "o", color=AFTER, markersize=2.6, label="after: what was found put in")
-    reach = 1.15 * max(float(np.nanmax(np.abs(np.concatenate([before[order], after[order]])))), 1e-12)
-    axes.set_ylim(-reach, reach)
 
 
 def observables(path: Path, problem: Problem, d: Diagnosis, title: str) -> None:
@@ -148,7 +151,7 @@ def observables(path: Path, problem: Problem, d: Diagnosis, title: str) -> None:
     count = len(problem.names)
     held = np.isfinite(r.held_out_after).any()
     figure = Figure(figsize=(2.9 * len(kinds) + 1.6, 0.24 * count + 1.9), layout="constrained")
-    every = figure.subplots(1, len(kinds), sharey=True, squeeze=False)[0]
+    every = figure.subplots(1, len(kinds), sharex=True, sharey=True, squeeze=False)[0]
     marks = [(r.before, BEFORE, "none", "before", -0.12), (r.after, AFTER, AFTER, "after", -0.12)]
     if held:
         marks += [

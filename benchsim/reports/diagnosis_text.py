@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from math import exp, floor, isfinite, log, log10
+from dataclasses import dataclass, field
+from math import exp, isfinite, log
 from textwrap import fill
 
-from benchsim.bench.units import IN_TEXT
 from benchsim.diagnosis.problem import Effect
 from benchsim.diagnosis.result import Diagnosis, Found, Limit, Size, SplitBy
-from benchsim.reports.conclusion import CONFIDENCE, headline, leftover, listed
+from benchsim.reports.conclusion import CONFIDENCE, gathered, headline, leftover, listed
+from benchsim.reports.quantities import readable, rounded, unit_text, words_of
 from benchsim.reports.vocabulary import BENCH, Vocabulary
 
 WIDTH = 100
@@ -44,6 +44,8 @@ class About:
     amended : str
         One sentence on the file that holds what was found; empty: none.
     words : Vocabulary
+    moves : mapping of str to (Size, str)
+        What an effect of that name, or of a parameter of that name alone, moves, and where or how that is measured.
     """
 
     title: str
@@ -56,6 +58,7 @@ class About:
     defaults: Sequence[str] = ()
     amended: str = ""
     words: Vocabulary = BENCH
+    moves: Mapping[str, tuple[Size, str]] = field(default_factory=dict)
 
 
 def summary(d: Diagnosis, about: About) -> str:
@@ -77,7 +80,7 @@ def summary(d: Diagnosis, about: About) -> str:
         count += f" of {number(about.settings, 'setting')}"
     parts = [f"{about.title}: {count}, against {SIMULATION.get(about.against, about.against)}."]
     parts.append(_headline(d, words))
-    parts += [_found(f, words) for f in d.effects]
+    parts += [_found(f, about) for f in d.effects]
     parts += list(_classes(d, about))
     parts += list(_where(d, words))
     parts += list(_better(d, words))
@@ -86,7 +89,7 @@ def summary(d: Diagnosis, about: About) -> str:
     parts += list(_settings(d, words))
     parts += [_wrapped(f"Dropped: {sentence}") for sentence in about.lost]
     if about.remarks or d.notes:
-        parts.append("\n".join(_item(sentence) for sentence in (*about.remarks, *d.notes)))
+        parts.append("\n".join(_item(sentence) for sentence in gathered([*about.remarks, *d.notes])))
     if about.defaults:
         parts.append(defaults_text(about.defaults))
     if about.amended:
@@ -108,14 +111,6 @@ def defaults_text(defaults: Sequence[str]) -> str:
     return fill(f"Defaults taken for what the file leaves out: {'; '.join(words)}.", WIDTH, break_long_words=False)
 
 
-def rounded(size: Size) -> str:
-    """``value ± sigma unit`` with two digits of sigma: ``0.0310 ± 0.0009 1/m``."""
-    if not isfinite(size.sigma) or size.sigma <= 0:
-        return f"{size.value:.3g} {unit_text(size.unit)}".rstrip()
-    digits = max(0, 1 - floor(log10(size.sigma)))
-    return f"{size.value:.{digits}f} ± {size.sigma:.{digits}f} {unit_text(size.unit)}".rstrip()
-
-
 def percent(p: float) -> str:
     """A probability that is never said to be 0 or 1."""
     if p > 0.9999:
@@ -133,11 +128,6 @@ def odds(margin: float) -> str:
     if margin > log(1e6):
         return "odds of more than a million to 1"
     return f"odds of {exp(max(margin, 0.0)):.3g} to 1"
-
-
-def unit_text(unit: str) -> str:
-    """A unit as text shows it; see `bench.units`."""
-    return IN_TEXT.get(unit, unit)
 
 
 def number(n: int, noun: str) -> str:
@@ -166,13 +156,21 @@ def _headline(d: Diagnosis, words: Vocabulary) -> str:
     return _wrapped(first.upper() + rest + tail + (f" {left}" if left else ""))
 
 
-def _found(f: Found, words: Vocabulary) -> str:
+def _found(f: Found, about: About) -> str:
     lines = [f"{f.name} ({f.element}; {CONFIDENCE[f.confidence]}; probability {percent(f.probability)})"]
     lines.append(_wrapped(f.says, "  "))
-    sizes = [f"{name} = {rounded(size)}" for name, size in f.parameters.items()]
-    lines.append(_wrapped("Size: " + ", ".join(sizes) + " (1 sigma).", "  "))
+    sizes = []
+    for name, size in f.parameters.items():
+        word, moved = words_of(name), about.moves.get(name)
+        told = f"{name} = {rounded(size)}" if word == name else f"{word} ({name}) {rounded(size)}"
+        sizes.append(told + (f", which is {rounded(moved[0])} {moved[1]}" if moved else ""))
+    apart = "; " if about.moves.keys() & f.parameters.keys() else ", "
+    lines.append(_wrapped(f"Size: {apart.join(sizes)} (1 sigma).", "  "))
+    if f.name in about.moves:
+        size, how = about.moves[f.name]
+        lines.append(_wrapped(f"Alone it moves the trace by {rounded(size)} {how}.", "  "))
     if f.remedy:
-        lines.append(_wrapped(f"{words.remedy}: {f.remedy}", "  "))
+        lines.append(_wrapped(f"{about.words.remedy}: {f.remedy}", "  "))
     return "\n".join(lines)
 
 
@@ -338,11 +336,11 @@ def _limits(d: Diagnosis, about: About) -> Iterator[str]:
         lines += limit_rows(seen)
         yield "\n".join(lines)
     elif seen:
-        words = ", ".join(f"{k.split('.')[0]} ({size_text(v)})" for k, v in seen.items())
+        words = ", ".join(f"{k.split('.')[0]} ({limit_text(v)})" for k, v in seen.items())
         yield _wrapped(f"Not found, and would have been seen at five sigma had it been as large as: {words}.")
     if blind:
-        start = "Cannot be seen in these recordings at any plausible size: "
-        yield _wrapped(start + ", ".join(f"{k.split('.')[0]} ({size_text(v)} needed)" for k, v in blind.items()) + ".")
+        start = "Cannot be seen in these recordings at any plausible size (in brackets: from which on it would be): "
+        yield _wrapped(start + "; ".join(f"{k.split('.')[0]} ({limit_text(v)})" for k, v in blind.items()) + ".")
     told = {k.split(".")[0] for k in (*seen, *blind)}
     if shaped := shapes_text([e for e in about.catalogue if e.name in told]):
         yield _wrapped(f"{shaped} at one point of these only, the most probable that was tried.")
@@ -351,15 +349,27 @@ def _limits(d: Diagnosis, about: About) -> Iterator[str]:
 def shapes_text(catalogue: Sequence[Effect]) -> str:
     """Begins a sentence on the limits of effects that have a shape beside their size; empty where none has."""
     shapes = {e.name: [p.name for p in e.parameters if len(p.grid) > 1] for e in catalogue}
-    words = [f"{name} ({', '.join(own)})" for name, own in shapes.items() if own]
+    words = [f"{name} ({', '.join(map(words_of, own))})" for name, own in shapes.items() if own]
     return f"What is said here of {listed(words)} holds" if words else ""
 
 
+def limit_text(v: Limit) -> str:
+    """``bow along z: 0.0042 1/m``."""
+    return f"{words_of(v.parameter)}: {_five_sigma(v)}"
+
+
 def size_text(v: Limit) -> str:
-    """``bow_z = 0.0042 1/m``."""
+    """``bow_z = 0.0042 1/m``, as files have it."""
     if not isfinite(v.five_sigma):
         return f"{v.parameter}: no size is enough"
     return f"{v.parameter} = {_short(v.five_sigma)} {unit_text(v.unit)}".rstrip()
+
+
+def _five_sigma(v: Limit) -> str:
+    if not isfinite(v.five_sigma):
+        return "no size is enough"
+    factor, unit = readable(v.unit, v.five_sigma)
+    return f"{_short(factor * v.five_sigma)} {unit}".rstrip()
 
 
 def _short(x: float) -> str:
@@ -368,11 +378,8 @@ def _short(x: float) -> str:
 
 
 def limit_rows(limits: Mapping[str, Limit]) -> list[str]:
-    """Two limits to a line, in the order given; keys are ``effect`` or ``effect.parameter``."""
-    cells = [f"{name.split('.')[0]:<22}{size_text(v)}" for name, v in limits.items()]
-    half = (len(cells) + 1) // 2
-    right = [*cells[half:], ""]
-    return [f"  {a:<50}{b}".rstrip() for a, b in zip(cells[:half], right, strict=False)]
+    """Effect, parameter and limit, in the order given; keys are ``effect`` or ``effect.parameter``."""
+    return [f"  {name.split('.')[0]:<24}{words_of(v.parameter):<38}{_five_sigma(v)}" for name, v in limits.items()]
 
 
 def _settings(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
@@ -385,7 +392,7 @@ def _settings(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
         ((k, v) for k, v in d.pulls.items() if abs(v) > 3 and not k.startswith("drift.")), key=lambda kv: -abs(kv[1])
     )
     if far:
-        listed = ", ".join(f"{k} ({v:+.1f} sigma)" for k, v in far[:5])
+        listed = ", ".join(f"{words_of(k)} ({v:+.1f} sigma)" for k, v in far[:5])
         text.append(f"Far from where it was set: {listed}.")
     if text:
         yield _wrapped(" ".join(text))

@@ -30,6 +30,21 @@ class Form(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
+class _Size(Form):
+    value: Number
+    sigma: Number | None
+    unit: Text
+
+
+class _Moved(_Size):
+    how: Text
+
+
+class _Prior(Form):
+    sigma: Number
+    unit: Text
+
+
 class _Residuals(Form):
     before: Numbers
     after: Numbers
@@ -50,6 +65,8 @@ class _Exposure(Form):
     residual_mm: _Residuals
     sigma_mm: Numbers
     sigma_alone_mm: Numbers
+    profiles: Annotated[int, Field(ge=1, le=10**9)] | None = None
+    departures: dict[Text, _Size] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _as_long(self) -> _Exposure:
@@ -83,6 +100,8 @@ class Page(Form):
     states: _States
     catalogue: list[_Known]
     exposures: list[_Exposure]
+    moves: dict[Text, _Moved] = Field(default_factory=dict)
+    priors: dict[Text, _Prior] = Field(default_factory=dict)
 
 
 def _with_own(versions: dict[str, str]) -> dict[str, str]:
@@ -115,12 +134,6 @@ class Pixels(Form):
 
     exposures: list[_Seen]
     pooled: _Pooled
-
-
-class _Size(Form):
-    value: Number
-    sigma: Number | None
-    unit: Text
 
 
 class _Split(Form):

@@ -18,7 +18,11 @@ do not hold, the mapping in ``page.json``::
                     "measured_px": [[u, v], …], "before_px": [[u, v], …], "after_px": [[u, v], …],
                     "s_mm": […],                              # along the trace, growing, for all that follows
                     "residual_mm": {"before": […], "after": […], "held_out_before": […], "held_out_after": […]},
-                    "sigma_mm": […], "sigma_alone_mm": […]}]} # with and without what neighbours have in common
+                    "sigma_mm": […], "sigma_alone_mm": […],    # with and without what neighbours have in common
+                    "profiles": 1101,                          # optional: of the trace; each point is the mean of some
+                    "departures": {"laser_azimuth": {"value": −0.4, "sigma": 0.2, "unit": "mrad"}}}], # optional
+     "moves": {"screen-bow": {"value": 0.8, "sigma": 0.01, "unit": "mm", "how": "rms"}}, # optional: effect, parameter
+     "priors": {"s1.laser_azimuth": {"sigma": 1.0, "unit": "mrad"}}} # optional: of what is fitted in every hypothesis
 """
 
 from __future__ import annotations
@@ -110,7 +114,7 @@ def validation_page(
     return _environment().get_template("validation.html.j2").render(
         v=validation,
         conics=conics,
-        words=page_words.validation(validation),
+        words=page_words.validation(validation, extra),
         **_recording(extra, photographs, stamp, before=False),
     )  # fmt: skip
 
@@ -154,6 +158,7 @@ def _recording(
     factor = enlarged(exposures)
     pictures = [_picture(x, photographs[x["photograph"]], factor) for x in exposures if x["photograph"] in photographs]
     pictures.sort(key=lambda p: -p["worst"])
+    reach = page_plots.reach(exposures, before)
     return {
         "extra": extra,
         "stamp": stamp,
@@ -165,7 +170,7 @@ def _recording(
                 "name": x["exposure"],
                 "setting": x["setting"],
                 "same": x["same"],
-                "figure": page_plots.residuals(x, before, vocabulary.of(extra)),
+                "figure": page_plots.residuals(x, reach, before, vocabulary.of(extra)),
             }
             for x in exposures
         ],

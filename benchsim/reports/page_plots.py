@@ -104,13 +104,26 @@ def _rms(values: Numbers) -> float | None:
     return (sum(v * v for v in known) / len(known)) ** 0.5 if known else None
 
 
-def residuals(exposure: Mapping[str, Any], earlier: bool = True, words: Vocabulary = BENCH) -> Markup:
+def reach(exposures: Iterable[Mapping[str, Any]], earlier: bool = True) -> float:
+    """Half the height of all residual panels of a page: traces are compared on one scale."""
+    shown = []
+    for x in exposures:
+        r = x["residual_mm"]
+        shown += [*_known(r["after"]), *_known(r["held_out_after"])]
+        if earlier and not x["same"]:
+            shown += [*_known(r["before"]), *_known(r["held_out_before"])]
+    return 1.12 * max(map(abs, shown), default=1.0) or 1.0
+
+
+def residuals(exposure: Mapping[str, Any], reach: float, earlier: bool = True, words: Vocabulary = BENCH) -> Markup:
     """Distances of one trace from its prediction along the trace, before and after; below them those left out.
 
     Parameters
     ----------
     exposure : mapping
         One of ``exposures`` of ``page.json`` (see `report.page`).
+    reach : float
+        Half the height of a panel.
     earlier : bool
         Whether those before are drawn too.
     words : Vocabulary
@@ -127,12 +140,10 @@ def residuals(exposure: Mapping[str, Any], earlier: bool = True, words: Vocabula
     for k, (word, before, after) in enumerate(panels):
         first = top + k * (tall + gap)
         sigma = exposure["sigma_mm"]
-        shown = [*_known(after), *(_known(before) if earlier else [])]
-        reach = 1.12 * max((abs(v) for v in shown), default=1.0) or 1.0
         y = Scale(-reach, reach, first + tall, first)
         factor, unit = (1e3, "µm") if reach < FINE and words is BENCH else (1.0, words.unit)
         body += _axis_y(
-            y, [v / factor for v in ticks(-factor * reach, factor * reach, 4)], first, f"{word} ({unit})", factor
+            y, [v / factor for v in ticks(-factor * reach, factor * reach, 5)], first, f"{word} ({unit})", factor
         )
         body.append(_band(x, y, s, sigma, "band"))
         body.append(_band(x, y, s, exposure["sigma_alone_mm"], "band alone"))

@@ -7,7 +7,7 @@ from math import inf, log10
 from typing import Any
 
 from benchsim.diagnosis.result import Size
-from benchsim.reports.conclusion import CONFIDENCE, SETTINGS, headline, leftover, listed
+from benchsim.reports.conclusion import CONFIDENCE, SETTINGS, gathered, headline, leftover, listed
 from benchsim.reports.diagnosis_text import (
     OVERSTATED,
     SIMULATION,
@@ -16,12 +16,11 @@ from benchsim.reports.diagnosis_text import (
     percent,
     place_text,
     removed,
-    rounded,
     several,
     shown_text,
     together,
-    unit_text,
 )
+from benchsim.reports.quantities import readable, rounded, words_of
 from benchsim.reports.vocabulary import BENCH, Vocabulary, of
 
 Json = Mapping[str, Any]
@@ -61,9 +60,11 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
         "rms": [(*words.kinds.get(k, (k, "")), v["before"], v["after"]) for k, v in d["fit"]["rms"].items()],
         "left_out": _left_out(d, words),
         "settings": _settings(d, words),
-        "seen": [(k.split(".")[0], v) for k, v in limits if v["reachable"]],
-        "blind": [(k.split(".")[0], v) for k, v in limits if not v["reachable"]],
-        "notes": [*d["remarks"], *d["notes"]],
+        "seen": [_limit(k, v) for k, v in limits if v["reachable"]],
+        "blind": [_limit(k, v) for k, v in limits if not v["reachable"]],
+        "moves": extra.get("moves", {}),
+        "notes": gathered([*d["remarks"], *d["notes"]]),
+        "fitted": _fitted(d, extra),
     }
 
 
@@ -147,7 +148,36 @@ def place(p: float) -> float:
     return 50 + 12.5 * log10(clipped / (1 - clipped))
 
 
-def validation(v: Json) -> dict[str, Any]:
+def _limit(key: str, v: Json) -> tuple[str, str, str, str]:
+    """Effect, parameter, size and unit of a limit."""
+    effect, parameter, size = key.split(".")[0], v["parameter"], v["five_sigma"]
+    if size is None:
+        return effect, parameter, "no size is enough", ""
+    factor, unit = readable(v["unit"], size)
+    return effect, parameter, short(factor * size), unit
+
+
+def _fitted(d: Json, extra: Json) -> list[tuple[str, str, str, str, float | None]]:
+    """What is fitted in every hypothesis: its words, how far it is off, how well it was stated, the unit, and sigma."""
+    rows = []
+    for name, pull in d["pulls"].items():
+        prior = extra.get("priors", {}).get(name)
+        off, stated, unit = "–", "–", ""
+        if prior is not None and pull is not None:
+            factor, unit = readable(prior["unit"], prior["sigma"])
+            off, stated = rounded(Size(factor * pull * prior["sigma"], factor * prior["sigma"], "")).split(" ± ")
+        rows.append((words_of(name), minus(off), stated, unit, pull))
+    return rows
+
+
+def _profiles(extra: Json) -> str:
+    """How many profiles a dot of the residuals' drawings is the mean of; empty where the folder does not say."""
+    per = [x["profiles"] / len(x["s_mm"]) for x in extra["exposures"] if x.get("profiles")]
+    low, high = (f"{x:.0f}" for x in (min(per), max(per))) if per else ("", "")
+    return low if low == high else f"{low} to {high}"
+
+
+def validation(v: Json, extra: Json) -> dict[str, Any]:
     """What the page says of a validation."""
     rows = v["exposures"]
     agree = [x["exposure"] for x in rows if x["agrees"]]
@@ -165,6 +195,9 @@ def validation(v: Json) -> dict[str, Any]:
         "headline": headline,
         "agrees": {True: "✓ agrees", False: "✗ disagrees", None: "cannot tell"},
         "pulls": list(dict.fromkeys(name for x in rows for name in x["pulls"])),
+        "departures": {x["exposure"]: x.get("departures", {}) for x in extra["exposures"]},
+        "units": {n: s["unit"] for x in extra["exposures"] for n, s in x.get("departures", {}).items()},
+        "profiles": _profiles(extra),
     }
 
 
@@ -213,8 +246,10 @@ def ended(sentence: str) -> str:
     return sentence if sentence.endswith((".", "!", "?")) else sentence + "."
 
 
-def _size(s: Json) -> str:
-    return minus(rounded(Size(s["value"], float("nan") if s["sigma"] is None else s["sigma"], s["unit"])))
+def _size(s: Json, unit: bool = True) -> str:
+    return minus(
+        rounded(Size(s["value"], float("nan") if s["sigma"] is None else s["sigma"], s["unit"] if unit else ""))
+    )
 
 
 def _separation(s: Json) -> str:
@@ -228,7 +263,7 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "together": together,
     "chance": chance,
     "size": _size,
-    "unit": unit_text,
+    "words": words_of,
     "short": short,
     "p_value": p_value,
     "interval": interval,

@@ -145,6 +145,9 @@ def residuals(traces: Sequence[Trace2D], title: str) -> Figure:
     figure = Figure(figsize=(6.2 * min(len(traces), 2) + 0.6, 4.6 * -(-len(traces) // 2) + 0.5), layout="constrained")
     columns = min(len(traces), 2)
     grid = figure.add_gridspec(-(-len(traces) // 2) * 2, columns)
+    # Traces are compared: one scale for all.
+    far = 1.05 * max(float(np.max(np.abs(t.bin_before))) for t in traces)
+    near = max(max(5 * np.median(t.bin_sigma), 1.3 * np.max(np.abs(t.bin_after)), 3 * np.std(t.after)) for t in traces)
     for i, t in enumerate(traces):
         row, column = 2 * (i // columns), i % columns
         top = figure.add_subplot(grid[row, column])
@@ -155,14 +158,14 @@ def residuals(traces: Sequence[Trace2D], title: str) -> Figure:
         top.set_title(f"{t.name}: {t.caption}", fontsize=9)
         top.tick_params(labelbottom=False)
         bottom.fill_between(
-            t.bin_s, -t.bin_sigma, t.bin_sigma, color="#cfe8d5", label="±1σ of a bin, pose included", linewidth=0
+            t.bin_s, -t.bin_sigma, t.bin_sigma, color="#cfe8d5", label="±1σ of a mean, pose included", linewidth=0
         )
         bottom.plot(t.s, t.after, ".", color="#b9b9b9", markersize=1.2, label="profiles", zorder=1)
-        bottom.plot(t.bin_s, t.bin_after, "o-", color=EXPLAINED, markersize=2.5, linewidth=0.8, label="bins")
+        mean = f"means of {len(t.s) / len(t.bin_s):.0f} profiles"
+        bottom.plot(t.bin_s, t.bin_after, "o-", color=EXPLAINED, markersize=2.5, linewidth=0.8, label=mean)
         bottom.axhline(0, color=GREY, linewidth=0.6)
-        reach = max(5 * float(np.median(t.bin_sigma)), 1.3 * float(np.max(np.abs(t.bin_after))))
-        spread = 3.0 * float(np.std(t.after))
-        bottom.set_ylim(-max(reach, spread), max(reach, spread))
+        top.set_ylim(-far, far)
+        bottom.set_ylim(-near, near)
         bottom.set(xlabel="along the curve (mm)", ylabel="settings fitted\ndistance (mm)")
         if i == 0:
             bottom.legend(fontsize=7, ncol=3, loc="upper right", framealpha=0.9)

@@ -183,11 +183,28 @@ def test_facets_that_were_found_come_with_millimetres(recording, tmp_path, quick
     size = written["size_mm"]
     assert size["unit"] == "mm" and 0.001 < size["value"] < 5
     assert size["sigma"] == pytest.approx(size["value"] * 0.01 / 0.98)
-    assert "facets = 0.980 ± 0.010, size_mm = " in (tmp_path / "out" / "summary.txt").read_text()
+    text = " ".join((tmp_path / "out" / "summary.txt").read_text().split())
+    assert "share of the facets (facets) 0.980 ± 0.010, shift of the trace, rms (size_mm) " in text
+    assert "Alone it moves" not in text, "it is said once"
     assert read(tmp_path / "out" / "amended.toml").effects == {"facets": {"facets": 0.98}}
     edit(recording, "[[exposure]]", f"[effects.facets]\nfacets = 0.98\nsize_mm = {size['value']}\n\n[[exposure]]")
     assert jobs.diagnose(recording, tmp_path / "again", pictures=False).recording.effects["facets"]["size_mm"] > 0
     assert result.diagnosis.effects[0].parameters["size_mm"].unit == "mm"
+
+
+def test_a_bow_that_was_found_comes_with_millimetres_at_the_edge_and_on_the_trace(recording, tmp_path, quick):
+    """A board of 700 mm with 0.03 1/m stands ½ · 0.03 · 0.35² m off at its edge; the trace moves by a part of that."""
+    result = jobs.diagnose(recording, tmp_path / "out", pictures=False)
+    text = " ".join(result.text().split())
+    assert "0.0300 ± 0.0010 1/m, which is 1.837 ± 0.061 mm at the board's upper and lower edges" in text
+    size, how = result.moves["screen-bow"]
+    assert 0.01 < size.value < 1.8 and size.sigma == pytest.approx(size.value / 30, rel=0.01) and how.startswith("rms")
+    page = json.loads((tmp_path / "out" / "page.json").read_text())
+    assert page["moves"]["screen-bow"] == {"value": size.value, "sigma": size.sigma, "unit": "mm", "how": how}
+    setting = next(p for p in result.problem.nuisances if p.name.endswith(".laser_azimuth"))
+    assert page["priors"][setting.name] == {"sigma": setting.sigma, "unit": "mrad"}
+    html = (tmp_path / "out" / "report.html").read_text()
+    assert "1.837 ± 0.061 mm at the board" in html and "alone, on the trace" in html
 
 
 def test_effects_that_the_recording_cannot_show_are_said_with_the_reason(recording, tmp_path, quick):

@@ -37,9 +37,15 @@ def names(folder):
 
 
 @pytest.fixture(scope="module")
-def ran(rendered, tmp_path_factory):
+def told():
+    """What `ran` tells of its progress."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def ran(rendered, tmp_path_factory, told):
     folder = tmp_path_factory.mktemp("ran") / "out"
-    return jobs.run(rendered, folder)
+    return jobs.run(rendered, folder, progress=lambda what, done: told.append((what, done)))
 
 
 def check_trace(file, exposures):
@@ -129,6 +135,28 @@ def test_run_on_a_recording_writes_the_designs_files(ran):
     check_stamp(folder, "run", ["recording.toml", "marks.csv", "001.png", "001-dark.png"])
     for name in ("fig8.png", "overlay-001.png", "residuals.png"):
         assert cv2.imread(str(folder / name)).shape[1] > 500
+
+
+def test_progress_names_every_picture_and_never_goes_back(ran, told):
+    done = [d for _, d in told]
+    assert done == sorted(done) and done[-1] == 1
+    late = [what for what, d in told if 0.9 <= d < 1]
+    assert late == [
+        "drawing 001.png", "drawing the residuals", "drawing the traces", "photographs for the page",
+        "writing the page",
+    ]  # fmt: skip
+    assert len({d for d in done if d >= 0.9}) >= 5
+
+
+def test_the_page_says_how_far_settings_were_off_in_mm_and_mrad(ran):
+    x = strict((ran.folder / "page.json").read_text())["exposures"][0]
+    found = ran.validation.exposures[0]
+    azimuth = x["departures"]["laser_azimuth"]
+    assert azimuth["unit"] == "mrad" and azimuth["value"] == pytest.approx(1e3 * found.bench.theta[5])
+    assert x["departures"].keys() == found.bench.pulls.keys()
+    assert x["profiles"] / len(x["s_mm"]) >= 4
+    html = (ran.folder / "report.html").read_text()
+    assert "laser&#39;s azimuth" in html and "neighbouring profiles" in html and "laser_azimuth" not in html
 
 
 def test_the_vector_model_agrees_with_a_rendered_recording(ran):

@@ -4,9 +4,14 @@ from dataclasses import replace
 
 import pytest
 
+from benchsim.bench.settings import NAMES
 from benchsim.diagnosis.problem import Effect, Parameter
 from benchsim.diagnosis.result import Limit, Location, Size
-from benchsim.reports.diagnosis_text import About, limit_rows, odds, percent, place_text, rounded, summary
+from benchsim.instruments.bench.effects import CATALOGUE, SIZE
+from benchsim.reports.diagnosis_text import About, odds, percent, place_text, summary
+from benchsim.reports.quantities import rounded, words_of
+
+LONE = (("001.png", 4), ("001.png", 7), ("003.png", 9))
 
 
 def about(made, **changes):
@@ -26,14 +31,14 @@ def test_a_named_effect_comes_with_size_unit_remedy_place_and_gain(made):
     text = summary(made.diagnosis, about(made))
     for words in (
         "screen-bow (screen; named; probability above 99.99 %)",
-        "bow_y = 0.03120 ± 0.00091 1/m",
+        "Size: bow along y (bow_y) 0.03120 ± 0.00091 1/m, bow along z (bow_z) -0.0121 ± 0.0013 1/m (1 sigma).",
         "Put a straightedge across the board",
         "It shows in marks (21.4 sigma) and centre line (11.3 sigma), all exposures together.",
         "001.png: from 10 to 120 mm along the trace, 7.1 sigma",
         "centre line 0.131 → 0.031 mm",
         "from 5120 to 60 (± 41): 98.8 %",
         "Roll the screen by 180°",
-        "s2.laser_azimuth (-3.4 sigma)",
+        "s2: laser's azimuth (-3.4 sigma)",
     ):
         assert words in " ".join(text.split()), words
 
@@ -65,13 +70,13 @@ def test_physics_in_doubt_comes_with_its_limit_where_it_was_not_found(made, verd
     for verdict in ("named", "class", "located", "unexplained"):
         text = " ".join(summary(replace(verdicts[verdict], limits=limits), known).split())
         start = "Not found, and would have been seen at five sigma had it been as large as: "
-        assert f"{start}facets (facets = 0.11), finite-beam (beam = 0.22)." in text
-        assert "diffraction (fresnel = 1.4 needed)" in text and "pyr" not in text
+        assert f"{start}facets (share of the facets: 0.11), finite-beam (share of the beam: 0.22)." in text
+        assert "diffraction (share of the diffraction: 1.4)" in text and "lean of every facet" not in text
     rivals = replace(verdicts["class"].classes[0], members=(("facets",), ("finite-beam", "drift")))
     text = summary(replace(verdicts["class"], limits=limits, classes=(rivals,)), known)
     assert "Not found" not in text, "what may be there is not said to be absent"
     nothing = summary(replace(verdicts["nothing-missing"], limits=limits), known)
-    assert "Not found" not in nothing and "beam = 0.22" in nothing
+    assert "Not found" not in nothing and "share of the beam 0.22" in " ".join(nothing.split())
 
 
 def test_a_limit_that_holds_at_one_place_says_so(made, verdicts):
@@ -80,7 +85,7 @@ def test_a_limit_that_holds_at_one_place_says_so(made, verdicts):
     for reachable in (True, False):
         limits = {"canting": Limit("pyr", 0.3, "mrad", True), "plume": Limit("plume", 0.1, "mrad", reachable)}
         text = " ".join(summary(replace(verdicts["nothing-missing"], limits=limits), known).split())
-        start = "What is said here of plume (plume_z) holds at one point of these only, the most probable "
+        start = "What is said here of plume (place in z) holds at one point of these only, the most probable "
         assert start + "that was tried." in text
     assert "What is said here of" not in summary(verdicts["nothing-missing"], known), "no limit of it is printed"
     assert "What is said here of" not in summary(made.diagnosis, known)
@@ -117,11 +122,31 @@ def test_lost_exposures_remarks_and_defaults_are_said(made):
 
 def test_numbers_read_as_numbers():
     assert rounded(Size(0.0312, 0.00091, "1/m")) == "0.03120 ± 0.00091 1/m"
-    assert rounded(Size(12.34, 3.2, "1e-3")) == "12.3 ± 3.2 ×10⁻³"
+    assert rounded(Size(12.34, 3.2, "1e-3")) == "12.3 ± 3.2 mm/m"
+    assert rounded(Size(0.00335, 0.0002, "1e-3")) == "3.35 ± 0.20 µm/m"
+    assert rounded(Size(0.02, 0.004, "mrad")) == "20.0 ± 4.0 µrad"
+    assert rounded(Size(6.2e-5, 1e-6, "1")) == "62.0 ± 1.0 ×10⁻⁶"
     assert rounded(Size(0.97, 0.0, "1")) == "0.97"
     assert percent(1.0) == "above 99.99 %" and percent(0.0) == "below 0.01 %" and percent(0.5) == "50 %"
     assert odds(50) == "odds of more than a million to 1" and odds(0.0) == "odds of 1 to 1"
-    two = limit_rows(
-        {"beam-offset.bu": Limit("bu", float("inf"), "mm", False), "drift": Limit("dry", 1.0, "mm/h", True)}
-    )
-    assert two == [f"  {'beam-offset           bu: no size is enough':<50}{'drift':<22}dry = 1 mm/h"]
+
+
+def test_every_number_of_the_catalogue_and_of_a_setting_has_words():
+    terms = {t.name for e in CATALOGUE for t in (*e.terms, SIZE)}
+    assert [n for n in (*terms, *NAMES, "tilt_11", "s1.mirror_axis_2") if words_of(n) == n] == []
+    assert words_of("seat1.screen_angle_x") == "seat1: screen turned about x" and words_of("IA") == "IA"
+
+
+def test_what_an_effect_moves_stands_beside_its_size(made):
+    moves = {"bow_y": (Size(1.91, 0.06, "mm"), "at the edges"), "screen-bow": (Size(0.052, 0.002, "mm"), "rms")}
+    text = " ".join(summary(made.diagnosis, about(made, moves=moves)).split())
+    assert "0.03120 ± 0.00091 1/m, which is 1.910 ± 0.060 mm at the edges; bow along z" in text
+    assert "Alone it moves the trace by 52.0 ± 2.0 µm rms." in text
+
+
+def test_marks_that_were_left_out_are_one_remark_with_the_cause(made):
+    lone = tuple(f"{p}: mark {m} lies off its neighbours and is left out" for p, m in LONE)
+    text = " ".join(summary(made.diagnosis, about(made, remarks=("One setting.", *lone, "Last."))).split())
+    assert "- One setting. - 3 marks lie off their neighbours, taken as mismeasured (a fault of the board" in text
+    assert "and left out: 4, 7 in 001.png; 9 in 003.png. - Last." in text
+    assert "1 mark lies off its neighbours" in summary(made.diagnosis, about(made, remarks=lone[:1]))

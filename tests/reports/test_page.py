@@ -146,14 +146,15 @@ def test_a_named_effect_comes_with_size_remedy_place_and_what_settings_left_out_
     for words in (
         "it has a name: screen-bow",
         "6 exposures of 3 settings, against the bench as the file states it.",
-        "bow_y 0.03120 ± 0.00091 1/m (1 sigma)",
-        "bow_z −0.0121 ± 0.0013 1/m",
+        "probability above 99.99 %; sizes ± 1 sigma",
+        "bow along y bow_y 0.03120 ± 0.00091 1/m",
+        "bow along z bow_z −0.0121 ± 0.0013 1/m",
         "Put a straightedge across the board",
         "In the screen, as a function of board y, z: odds of more than a million to 1",
         "3 folds, 816 data",
         "from 5120 to 60 (± 41): 98.8 % of it is removed",
         "Roll the screen by 180° and repeat setting s1. It separates what is still open by 9.4 sigma",
-        "window (win_1 = 0.770 mm needed)",
+        "window (win_1: 0.770 mm)",
     ):
         assert words in text, words
 
@@ -248,11 +249,77 @@ def test_without_photographs_residuals_are_still_there(made):
 def test_the_residual_drawing_holds_every_point_and_says_its_rms(made):
     x = made.beside()["exposures"][0]
     x["residual_mm"]["held_out_after"][3] = None
-    svg = str(page_plots.residuals(x))
+    svg = str(page_plots.residuals(x, page_plots.reach([x])))
     dots = re.findall(r'class="after dot" d="([^"]+)"', svg)
     assert [d.count("M") for d in dots] == [64, 63]
     before = float(np.sqrt(np.mean(np.square(x["residual_mm"]["before"]))))
     assert f"fitted: rms {before:.2g} before, " in svg and "left out: rms" in svg
+
+
+def test_traces_that_are_compared_are_drawn_on_one_scale(made, photographs):
+    extra = made.beside()
+    far = extra["exposures"][4]["residual_mm"]
+    far["before"] = [5 * v for v in far["before"]]
+    html = page.diagnosis_page(made.plain(made.diagnosis), extra, photographs, STAMP)
+    plots = re.findall(r'<svg class="plot".*?</svg>', html)
+    assert len(plots) == 6
+    heights = {tuple(re.findall(r'text-anchor="end">([^<]+)<', p)) for p in plots}
+    assert len(heights) == 1 and len(set(heights.pop())) > 2, "the same numbers at every panel's axis"
+
+
+def test_what_an_effect_moves_and_how_far_settings_were_off_stand_in_mm_and_mrad(made, photographs):
+    extra = made.beside()
+    extra["moves"] = {
+        "bow_y": {"value": 1.91, "sigma": 0.06, "unit": "mm", "how": "at the board's edges"},
+        "screen-bow": {"value": 0.052, "sigma": 0.002, "unit": "mm", "how": "rms over all traces"},
+    }
+    extra["priors"] = {"s2.laser_azimuth": {"sigma": 1.5, "unit": "mrad"}}
+    text = Page(page.diagnosis_page(made.plain(made.diagnosis), extra, photographs, STAMP)).text
+    assert "0.03120 ± 0.00091 1/m 1.910 ± 0.060 mm at the board's edges bow along z" in text
+    assert "alone, on the trace 52.0 ± 2.0 µm rms over all traces" in text
+    assert "s2: laser's azimuth −5.1 1.5 mrad −3.40" in text, "pull times what was stated"
+    bare = diagnosed(made, made.diagnosis, photographs).text
+    assert "s2: laser's azimuth −3.40" in bare and "alone, on the trace" not in bare, "a folder of before"
+
+
+def test_marks_that_were_left_out_are_one_remark(made, photographs):
+    lone = [f"{p}.png: mark {m} lies off its neighbours and is left out" for p, m in (("001", 4), ("001", 7))]
+    text = diagnosed(made, made.diagnosis, photographs, remarks=lone).text
+    assert text.count("neighbours") == 1 and "2 marks lie off their neighbours" in text and "4, 7 in 001.png." in text
+
+
+def test_numbers_of_the_limits_are_read_without_powers_of_ten(made, photographs):
+    limits = {"grid-scale": {"parameter": "gs", "five_sigma": 0.00335, "unit": "1e-3", "reachable": True}}
+    text = diagnosed(made, made.diagnosis, photographs, limits=limits).text
+    assert "grid-scale too far apart by gs 3.35 µm/m" in text
+
+
+@pytest.fixture
+def validated():
+    """Page, validation and conics of a run that is kept."""
+    folder = Path(__file__).parents[1] / "hostile" / "corpus" / "validation"
+    return [json.loads((folder / f"{name}.json").read_text()) for name in ("validation", "conics", "page")]
+
+
+def test_a_validation_says_settings_in_mm_and_mrad_and_what_its_dots_are(validated):
+    found, conics, extra = validated
+    first, row = extra["exposures"][0], found["exposures"][0]
+    per = len(first["s_mm"])
+    first["profiles"] = 17 * per
+    first["departures"] = {"mirror_axis_2": {"value": -4.81, "sigma": 0.47, "unit": "mrad"}}
+    row["pulls"] = {"mirror_axis_2": -2.75}
+    p = Page(page.validation_page(found, conics, extra, {}, STAMP))
+    assert p.faults == []
+    for words in (
+        "rms distance of the trace's single profiles",
+        "Each dot is the mean of 17 neighbouring profiles",
+        "mirror's normal leaning toward its axis mrad −4.81 ± 0.47 −2.75 sigma",
+        "Without r it would reflect on that axis",
+    ):
+        assert words in p.text, words
+    del first["profiles"], first["departures"]
+    before = Page(page.validation_page(found, conics, extra, {}, STAMP)).text
+    assert "Each dot" not in before and "leaning toward its axis −2.75 sigma" in before, "a folder of before"
 
 
 def test_ticks_are_round_and_within():
