@@ -1,11 +1,12 @@
 """benchsim: a heliostat bench as software, and the instrument that reads it.
 
 >>> import benchsim as bs
->>> recording = bs.render(bs.load("scenes/fig7a.toml"), seed=1)
->>> bs.fit(recording)[0].trace
->>> bs.diagnose(recording, progress=True).verdict
+>>> bench = bs.load("scenes/fig7a.toml")
+>>> bench.mirror.facets, len(bench.exposures)
+(12, 1)
 
-Each command is the function of its name here; it takes a path or what another has returned, and writes where told.
+``bs.render(bench)`` photographs it, and ``bs.fit``, ``bs.validate`` and ``bs.diagnose`` take what that returns. Each
+command is the function of its name here; it takes a path or what another has returned, and writes where told.
 What these functions and classes are made of is looked up when they are first used, so that this import stays light.
 
 Mitsuba's ``llvm_*`` variants need a shared libLLVM, which Dr.Jit looks up once, when it is first imported; this module

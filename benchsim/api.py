@@ -42,6 +42,13 @@ def load(path: Path | str, *, allow_outside: bool = False) -> Recording:
     ------
     BenchsimError
         One sentence that names file, key and mend.
+
+    Examples
+    --------
+    >>> import benchsim as bs
+    >>> bench = bs.load("scenes/fig7a.toml")
+    >>> bench.exposures[0].mirror_position  # mm
+    (1500.0, -160.0, -1430.0)
     """
     return read(path, allow_outside=allow_outside)
 

@@ -1,7 +1,10 @@
 """The calibrated screen to print: where its marks lie, and the same drawing as PDF at true scale and as SVG.
 
 >>> layout = lay_out((700.0, 700.0), 36.0)
->>> write_pdf(Path("board.pdf"), draw(layout), [whole(layout)])
+>>> len(layout.marks.ids)
+40
+
+``write_pdf`` and ``write_svg`` take ``draw(layout)``, and ``whole(layout)`` or ``tiles(layout, paper)`` as pages.
 """
 
 from benchsim.boards.drawing import Drawing, draw

@@ -1,7 +1,6 @@
 """A camera from photographs of the board: intrinsics and distortion with their covariance, and whether to believe them.
 
->>> found = calibrate(pictures([Path("views")]), read_marks(Path("marks.csv")))
->>> found.camera, found.intrinsics_sigma
+``calibrate`` takes what ``pictures`` lists and the board's marks.
 """
 
 from benchsim.calibration.advice import TARGETS, sight

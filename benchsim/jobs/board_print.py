@@ -132,6 +132,14 @@ def board(
     ------
     BenchsimError
         If the board cannot be drawn so, or the folder cannot be used.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import benchsim as bs
+    >>> made = bs.board(tempfile.mkdtemp() + "/board", paper="a4")
+    >>> made.size, made.pages  # mm; sheets across and up
+    ((700.0, 700.0), 15)
     """
     folder = Path("board" if output is None else output)
     options = _options(folder, measured is not None, {"size": size, "side": side, "paper": paper})

@@ -118,6 +118,13 @@ def check(
     ------
     BenchsimError
         If there is no recording, or it is no TOML file.
+
+    Examples
+    --------
+    >>> import benchsim as bs
+    >>> (found,) = bs.check("scenes/fig7a.toml").findings
+    >>> found.where, found.says
+    ('exposure[1].image', "required and missing; name the photograph, or run 'benchsim render' first")
     """
     path = Path(recording)
     findings = _keys(path)

@@ -184,6 +184,12 @@ def effects(
     ------
     BenchsimError
         If the recording or the folder cannot be used.
+
+    Examples
+    --------
+    >>> import benchsim as bs
+    >>> [entry.name for entry in bs.effects().entries if entry.element == "air"]
+    ['window', 'window-tilt', 'air-gradient', 'plume']
     """
     if recording is None:
         return _written(CatalogueResult(bench_effects.CATALOGUE), output, [Path(bench_effects.__file__)])

@@ -1,7 +1,6 @@
 """From photograph to trace: light, marks, camera pose, ridge with error bars, table.
 
->>> measured = extract(recording, recording.exposures[0])
->>> covariance(only_ridge(measured, 0))
+``extract`` measures an exposure's trace, ``only_ridge`` leaves its ridge, and ``covariance`` is how that is known.
 """
 
 from benchsim.trace.extract import PixelTrace, extract, extract_pixels
