@@ -25,7 +25,7 @@ ALLOWED = {
     "instruments": {"bench", "diagnosis", "rays", "trace", "conics", "vector"},
     "detectors": {"bench", "vector"},
     "drone": {"bench", "renderer"},
-    "flux": {"bench", "vector", "instruments", "renderer"},
+    "fluxes": {"bench", "vector", "instruments", "renderer"},
     "jobs": {
         "bench",
         "boards",

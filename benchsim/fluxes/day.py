@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchsim.flux.collado import flux
-from benchsim.flux.heliostat import Heliostat, Target, ideal_normal, landing
+from benchsim.fluxes.collado import flux
+from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal, landing
 from benchsim.instruments.mount.axes import pointing, reflected
 from benchsim.instruments.mount.records import Mount, angles
 
