@@ -26,6 +26,7 @@ ALLOWED = {
     "detectors": {"bench", "vector"},
     "drone": {"bench", "renderer"},
     "fluxes": {"bench", "vector", "instruments", "renderer"},
+    "plant": {"bench", "fluxes", "instruments"},
     "jobs": {
         "bench",
         "boards",
@@ -39,6 +40,8 @@ ALLOWED = {
         "reports",
         "renderer",
         "instruments",
+        "fluxes",
+        "plant",
     },
     "llvm": set(),
     "api": {"bench", "jobs"},
