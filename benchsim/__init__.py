@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bench", "BenchsimError", "Camera", "Exposure", "Laser", "Mirror", "Physics", "Recording", "Screen", "Uncertainty",
-    "aim", "board", "calibrate", "check", "diagnose", "effects", "export", "field", "fit", "flux", "load", "new", "predict",
-    "render", "report", "run", "sample", "validate",
+    "aim", "board", "calibrate", "check", "diagnose", "effects", "export", "field", "fit", "flux", "load", "new",
+    "predict", "render", "report", "run", "sample", "validate",
 ]  # fmt: skip
 
 #: Sentence shown when drjit was imported before benchsim and no libLLVM was chosen; None if all is well.

@@ -30,7 +30,8 @@ class PlantMade(Shown):
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
         return (
-            f"{self.folder}/{files.NAME}: a plant of {self.heliostats} heliostats in {begun.TABLE}; change what is not as yours\n"
+            f"{self.folder}/{files.NAME}: a plant of {self.heliostats} heliostats in {begun.TABLE}; change what is not "
+            "as yours\n"
             f"next: benchsim check {self.folder}, then benchsim flux {self.folder} --at 2026-06-21T12:00"
         )
 
@@ -72,8 +73,8 @@ class PlantCheck(Shown):
             [
                 f"{self.name}: {len(f)} heliostat{'s' if len(f) != 1 else ''}, {f.area.sum() / 1e6:.4g} m² of mirrors, "
                 f"{far.min():.0f} to {far.max():.0f} m from where they aim: {kinds}",
-                f"light spreads by {spread.min():.2f} to {spread.max():.2f} mrad (1 sigma in one direction), of which the "
-                f"sun's shape {1e3 * self.plant.sun.sigma:.2f}",
+                f"light spreads by {spread.min():.2f} to {spread.max():.2f} mrad (1 sigma in one direction), of which "
+                f"the sun's shape {1e3 * self.plant.sun.sigma:.2f}",
                 f"errors of the mounts ({f.kinematics}): {', '.join(errors) or 'none are stated'}"
                 + ("; a diagnosis is named" if self.plant.diagnosed else ""),
                 *self.plant.remarks,

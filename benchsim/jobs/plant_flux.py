@@ -252,7 +252,7 @@ def flux(
     irradiance : float, optional
         On a plane that faces the sun [W/m²]; default a clear sky's.
     cells : int, optional
-        Of a map along and up; default as wide as the narrowest spot's sigma, 40 to 200.
+        Of a map along and up; default half as wide as the narrowest spot's sigma, 60 to 300.
     levels : sequence of float
         Of contours [kW/m²], or kWh/m² of a day; default parts of the peak.
     rank : bool
@@ -320,7 +320,7 @@ def mount_errors(plant: Plant, kind: str, seed: int) -> tuple[Mapping[str, Array
     if kind == "diagnosed":
         if plant.diagnosed is None:
             raise BenchsimError(
-                f"{plant.path.name}: heliostats.diagnosed: is missing, so nothing is as diagnosed; name a field.csv there"
+                f"{plant.path.name}: heliostats.diagnosed: is missing, so nothing is as diagnosed; name a field.csv"
             )
         return plant.diagnosed
     if kind == "stated":

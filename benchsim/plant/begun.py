@@ -104,7 +104,7 @@ AW_sigma_mrad = 1.2
 
 
 def radial(folder: Path, count: int) -> None:
-    """Write a plant of heliostats in radial stagger to 60 deg on either side of north; its tower grows with the field."""
+    """Write a plant of heliostats in radial stagger to 60 deg on either side of north; the tower grows with it."""
     grown = math.sqrt(max(count, 25) / 100)
     tower, receiver = round(40 * grown, 1), round(2 * grown, 1)
     places = radial_stagger(count, 4e3, 3e3, 30e3 * grown, 1e3 * (tower - 2.5), math.radians(60)) / 1e3

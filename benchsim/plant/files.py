@@ -212,7 +212,8 @@ def _field(f: schema.PlantFile, rows: Rows, receivers: tuple[Receiver, ...], sit
         lacking = np.flatnonzero(np.isnan(sizes[name]))
         if len(lacking):
             raise BenchsimError(
-                f"{file.name}: heliostats.{name}: required, as {rows.files[0].name} does not say it of {rows.ids[lacking[0]]}; add it"
+                f"{file.name}: heliostats.{name}: required, as {rows.files[0].name} does not say it of "
+                f"{rows.ids[lacking[0]]}; add it"
             )
     facets = np.stack([column("facets_across", h.facets[0]), column("facets_up", h.facets[1])], axis=1).round()
     receiver = _receivers_of(rows, h.receiver, position, receivers, file)
@@ -225,7 +226,8 @@ def _field(f: schema.PlantFile, rows: Rows, receivers: tuple[Receiver, ...], sit
     errors, sigmas = _errors(f.errors, rows, kinematics, file)
     return Field(
         rows.ids, position, 1e3 * sizes["width_m"], 1e3 * sizes["height_m"], facets.astype(np.int64),
-        1e3 * column("focal_m", h.focal_m), 1e3 * column("canting_m", h.canting_m), receiver, aim, kinematics, errors, sigmas,
+        1e3 * column("focal_m", h.focal_m), 1e3 * column("canting_m", h.canting_m), receiver, aim, kinematics, errors,
+        sigmas,
     )  # fmt: skip
 
 
@@ -265,7 +267,8 @@ def _errors(
     for key in (*stated, *(c for c in rows.columns if c.endswith("_mrad") and c not in stated)):
         if key not in known:
             raise BenchsimError(
-                f"{rows.files[0]}: {key}: no error of an {kinematics} mount; remove the column or mend heliostats.kinematics"
+                f"{rows.files[0]}: {key}: no error of an {kinematics} mount; remove the column or mend "
+                "heliostats.kinematics"
             )
         found = rows.columns.get(key, np.full(n, np.nan))
         name, sigma = known[key]
@@ -283,12 +286,14 @@ def _check(plant: Plant) -> None:
     k = int(np.argmin(near / np.minimum(f.width, f.height)))
     if near[k] < NEAREST * min(f.width[k], f.height[k]):
         raise BenchsimError(
-            f"{file}: heliostats: {f.ids[k]} and another stand {near[k] / 1e3:.3g} m apart, within one another; mend the table"
+            f"{file}: heliostats: {f.ids[k]} and another stand {near[k] / 1e3:.3g} m apart, within one another; "
+            "mend the table"
         )
     short = int(np.argmin(f.distance / np.hypot(f.width, f.height)))
     if f.distance[short] < np.hypot(f.width, f.height)[short]:
         raise BenchsimError(
-            f"{file}: heliostats: {f.ids[short]} stands {f.distance[short] / 1e3:.3g} m from where it aims, less than its own size; mend the table"
+            f"{file}: heliostats: {f.ids[short]} stands {f.distance[short] / 1e3:.3g} m from where it aims, less than "
+            "its own size; mend the table"
         )
     spread = plant.spread
     if not spread.max() < 0.1:
@@ -301,5 +306,6 @@ def _check(plant: Plant) -> None:
         away = np.flatnonzero((f.receiver == k) & (r.faces(f.position) <= 0))
         if len(away):
             raise BenchsimError(
-                f"{file}: receiver[{k + 1}]: {f.ids[away[0]]} aims at {r.name} and stands behind it; mend azimuth_deg or the receiver that is aimed at"
+                f"{file}: receiver[{k + 1}]: {f.ids[away[0]]} aims at {r.name} and stands behind it; mend "
+                "azimuth_deg or the receiver that is aimed at"
             )

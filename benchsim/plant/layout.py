@@ -22,7 +22,7 @@ def radial_stagger(
     begins (Collado & Guallar 2012, https://doi.org/10.1016/j.renene.2012.03.011, with Δα the diagonal over the radius
     and rings cos 30° of the diagonal apart at least). Further out rings lie apart as DELSOL has it for little blocking,
     ΔR = h (1.44 cot θ − 1.094 + 3.068 θ − 1.1256 θ²), θ the receiver's elevation in radians as the mirror sees it
-    (Stine & Geyer, Power From The Sun, Eq. (10.3)).
+    (Stine & Geyer, Power From The Sun, chapter 10).
 
     Parameters
     ----------

@@ -124,7 +124,7 @@ class Receiver:
         """Along, all around for a cylinder, and up [mm]."""
         return (math.pi * self.width if self.kind == "cylinder" else self.width), self.height
 
-    def mesh(self, cell: float, fewest: int = 40, most: int = 200) -> Mesh:
+    def mesh(self, cell: float, fewest: int = 60, most: int = 300) -> Mesh:
         """Centres of equal cells, as near to ``cell`` [mm] as the bounds of their number along each side allow.
 
         The rule of integration is the midpoint's with its first edge correction: 13/12, 7/8 and 25/24 of a cell from

@@ -96,11 +96,11 @@ def transmitted(distance: Array, kind: str) -> Array:
 
 
 def meshes(plant: Plant, cells: int | None = None) -> tuple[Mesh, ...]:
-    """Grids of the receivers whose cells are as wide as the narrowest spot's sigma, or ``cells`` along and up."""
+    """Grids of the receivers whose cells are half as wide as the narrowest spot's sigma, or ``cells`` along and up."""
     narrow = float((plant.spread * plant.field.distance).min())
     if cells is not None:
         return tuple(r.mesh(1.0, cells, cells) for r in plant.receivers)
-    return tuple(r.mesh(narrow) for r in plant.receivers)
+    return tuple(r.mesh(narrow / 2) for r in plant.receivers)
 
 
 def moment(

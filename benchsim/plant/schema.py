@@ -66,7 +66,7 @@ class HeliostatsTable(Table):
     kinematics: Literal["az-el", "east-west"] | None = None
     width_m: Edge | None = None
     height_m: Edge | None = None
-    facets: Annotated[list[Count], Field(min_length=2, max_length=2)] = [1, 1]
+    facets: Annotated[list[Count], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [1, 1])
     focal_m: Reach | None = None
     canting_m: Reach | None = None
     receiver: Name | None = None

@@ -57,7 +57,7 @@ def pillbox(half: float = DISC) -> SunShape:
 
 
 def buie(csr: float) -> SunShape:
-    """Buie, Monger & Dey 2003, https://doi.org/10.1016/S0038-092X(03)00125-7: disc and aureole by the circumsolar ratio.
+    """Disc and aureole by the circumsolar ratio: Buie et al. 2003, https://doi.org/10.1016/S0038-092X(03)00125-7.
 
     φ = cos(0.326 θ)/cos(0.308 θ) on the disc and e^κ θ^γ outside (θ in mrad), κ = 0.9 ln(13.5 χ) χ^−0.3,
     γ = 2.2 ln(0.52 χ) χ^0.43 − 0.1, with the stated ratio for χ: what the profile then has differs a little from it.

@@ -2,7 +2,8 @@
 
 All tables are CSV in metres and degrees; columns of benchsim's own are found by their names:
 
-- ``id``, and ``east_m``, ``north_m``, ``up_m`` of the mirror's centre, or ``latitude_deg``, ``longitude_deg``, ``elevation_m``;
+- ``id``, and ``east_m``, ``north_m``, ``up_m`` of the mirror's centre, or ``latitude_deg``, ``longitude_deg``,
+  ``elevation_m``;
 - if they differ from ``[heliostats]``: ``width_m``, ``height_m``, ``facets_across``, ``facets_up``, ``focal_m``,
   ``canting_m``, ``receiver``, ``aim_east_m``, ``aim_north_m``, ``aim_up_m``, and errors as in ``[errors]``.
 
@@ -301,7 +302,8 @@ def diagnosed_errors(
                 value, sigma = float(match[2]), float(match[5])
                 if not (abs(value) <= 100 and 0 <= sigma <= 100):
                     raise BenchsimError(
-                        f"{path}: sizes: {part[:60]!r} of {name} is no error of a mount; make it again with 'benchsim field'"
+                        f"{path}: sizes: {part[:60]!r} of {name} is no error of a mount; make it again with "
+                        "'benchsim field'"
                     )
                 errors[match[1]][k], sigmas[match[1]][k] = 1e-3 * value, 1e-3 * sigma
             else:
@@ -311,7 +313,7 @@ def diagnosed_errors(
     remarks = []
     if missing:
         remarks.append(
-            f"{missing} of {len(ids)} heliostats are not in {path.name}: taken to be without errors where they are as diagnosed."
+            f"{missing} of {len(ids)} heliostats are not in {path.name}: as diagnosed they are without errors."
         )
     if unused:
         said = ", ".join(f"{k} ({n})" for k, n in sorted(unused.items(), key=lambda x: -x[1])[:6])
