@@ -67,9 +67,9 @@ class Beams:
     def chosen(self, index: NDArray[np.intp]) -> Beams:
         """Some of the heliostats."""
         return Beams(
-            *(x[index] for x in (self.position, self.normal, self.width, self.height, self.spread, self.distance)),
-            self.sun,
-        )
+            self.position[index], self.normal[index], self.width[index], self.height[index], self.spread[index],
+            self.distance[index], self.sun,
+        )  # fmt: skip
 
 
 def flux(beams: Beams, points: Array, normals: Array) -> Array:
@@ -92,9 +92,8 @@ def flux(beams: Beams, points: Array, normals: Array) -> Array:
         out = np.repeat(out, len(points), axis=1)
     for edge, length in zip(mirror_axes(n), (beams.width, beams.height), strict=True):
         on_image = edge - (edge * r).sum(axis=1, keepdims=True) * r
-        turned = (on_image - (edge @ s)[:, None] * (n - cosine[:, None] * r) - cosine[:, None] * on_image) / shrink[
-            :, None
-        ]
+        turned = on_image - (edge @ s)[:, None] * (n - cosine[:, None] * r) - cosine[:, None] * on_image
+        turned /= shrink[:, None]
         on_image = np.where((1 - cosine > _LEAST)[:, None], turned, on_image) / width[:, None]
         along = on_image @ points.T - (on_image * beams.position).sum(axis=1, keepdims=True)
         half = (length * shrink / 2 / width)[:, None]

@@ -110,7 +110,7 @@ def read(path: Path | str, *, allow_outside: bool = False) -> Plant:
     plant = Plant(
         f.title, file, tuple(dict.fromkeys(files)), site, receivers, field, sun, optics, diagnosed, tuple(remarks)
     )
-    _check(plant)
+    _check(plant, rows.files[0])
     return plant
 
 
@@ -276,7 +276,7 @@ def _errors(
     return out
 
 
-def _check(plant: Plant) -> None:
+def _check(plant: Plant, table: Path) -> None:
     f, file = plant.field, plant.path.name
     near = (
         cKDTree(f.position).query(f.position, k=min(2, len(f)))[0].reshape(len(f), -1)[:, -1]
@@ -286,26 +286,25 @@ def _check(plant: Plant) -> None:
     k = int(np.argmin(near / np.minimum(f.width, f.height)))
     if near[k] < NEAREST * min(f.width[k], f.height[k]):
         raise BenchsimError(
-            f"{file}: heliostats: {f.ids[k]} and another stand {near[k] / 1e3:.3g} m apart, within one another; "
-            "mend the table"
+            f"{table}: {f.ids[k]} and another stand {near[k] / 1e3:.3g} m apart, within one another; mend their places"
         )
     short = int(np.argmin(f.distance / np.hypot(f.width, f.height)))
     if f.distance[short] < np.hypot(f.width, f.height)[short]:
         raise BenchsimError(
-            f"{file}: heliostats: {f.ids[short]} stands {f.distance[short] / 1e3:.3g} m from where it aims, less than "
-            "its own size; mend the table"
+            f"{table}: {f.ids[short]} stands {f.distance[short] / 1e3:.3g} m from where it aims, less than its own "
+            "size; mend its place"
         )
     spread = plant.spread
     if not spread.max() < 0.1:
         k = int(spread.argmax())
         raise BenchsimError(
-            f"{file}: heliostats: {f.ids[k]} would spread its light by {1e3 * spread[k]:.3g} mrad; mend slope_mrad, "
-            "specularity_mrad, focal_m or canting_m"
+            f"{file}: heliostats: {f.ids[k]} of {table.name} would spread its light by {1e3 * spread[k]:.3g} mrad; mend "
+            "slope_mrad, specularity_mrad, focal_m or canting_m"
         )
     for k, r in enumerate(plant.receivers):
         away = np.flatnonzero((f.receiver == k) & (r.faces(f.position) <= 0))
         if len(away):
             raise BenchsimError(
-                f"{file}: receiver[{k + 1}]: {f.ids[away[0]]} aims at {r.name} and stands behind it; mend "
-                "azimuth_deg or the receiver that is aimed at"
+                f"{file}: receiver[{k + 1}]: {f.ids[away[0]]} of {table.name} aims at {r.name} and stands behind it; "
+                "mend azimuth_deg or the receiver that is aimed at"
             )

@@ -55,7 +55,7 @@ def lost(
     if n < 2:
         return np.zeros(n), np.zeros(n)
     radius = np.hypot(width, height) / 2
-    mirrors = (position, np.stack(mirror_axes(normal), axis=1), normal, width, height)
+    mirrors = (position, mirror_axes(normal).transpose(1, 0, 2), normal, width, height)
     toward = np.broadcast_to(sun, position.shape)
     shadows = _projected(mirrors, *seen_from(position, radius, sun), toward)
     blocks = _projected(mirrors, *along(position, radius, ray, reach), ray)
