@@ -648,7 +648,7 @@ def check(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Say what a recording, or a plant, still lacks, before anything is fitted. And where it contradicts itself."""
+    """Say what a recording or plant lacks, before anything is fitted. And where it contradicts itself."""
     from benchsim import jobs
 
     if not _do(jobs.check, json, recording=recording, output=output, allow_outside=allow_outside).usable:

@@ -298,13 +298,13 @@ def _check(plant: Plant, table: Path) -> None:
     if not spread.max() < 0.1:
         k = int(spread.argmax())
         raise BenchsimError(
-            f"{file}: heliostats: {f.ids[k]} of {table.name} would spread its light by {1e3 * spread[k]:.3g} mrad; mend "
+            f"{file}: heliostats: {f.ids[k]} of {table.name} spreads its light by {1e3 * spread[k]:.3g} mrad; mend "
             "slope_mrad, specularity_mrad, focal_m or canting_m"
         )
     for k, r in enumerate(plant.receivers):
         away = np.flatnonzero((f.receiver == k) & (r.faces(f.position) <= 0))
         if len(away):
             raise BenchsimError(
-                f"{file}: receiver[{k + 1}]: {f.ids[away[0]]} of {table.name} aims at {r.name} and stands behind it; "
-                "mend azimuth_deg or the receiver that is aimed at"
+                f"{file}: receiver[{k + 1}]: {f.ids[away[0]]} of {table.name} aims at {r.name} and is behind "
+                "it; mend azimuth_deg or the receiver that is aimed at"
             )

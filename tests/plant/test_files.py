@@ -105,7 +105,7 @@ BAD = {
     "did you mean 'reflectance'": [("reflectance = 0.9", "reflectence = 0.9")],
     "receiver[1]: a cylinder has diameter_m and no width_m": [
         ('name = "target"', 'name = "target"\nkind = "cylinder"')],
-    "receiver[1]: A of heliostats.csv aims at target and stands behind it": [
+    "receiver[1]: A of heliostats.csv aims at target and is behind it": [
         ("height_m = 3.0\n[sun]", "height_m = 3.0\nazimuth_deg = 180.0\n[sun]")],
     "sun.csr: the shape pillbox has none": [('shape = "pillbox"', 'shape = "pillbox"\ncsr = 0.1')],
     "sun.csr: the shape buie needs it": [('shape = "pillbox"', 'shape = "buie"')],
