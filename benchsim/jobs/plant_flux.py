@@ -41,6 +41,9 @@ KINDS = ("stated", "none", "drawn", "diagnosed")
 LEVELS = (0.25, 0.5, 0.75)
 """Contours of a picture, in parts of the peak, unless they are said."""
 
+COARSE = 1e-3
+"""Change by the grid's edge correction above which a remark is due."""
+
 TOLD = 5
 """Heliostats of a summary; the files have all."""
 
@@ -196,6 +199,10 @@ class FluxResult(Shown):
             lines += [
                 f"    {r['id']:<12} {r['lost_kwh']:9.3g} ± {r['sigma_kwh']:.2g} kWh" for r in plain["rank"][:TOLD]
             ]
+        if plain["grid_error"] > COARSE:
+            lines.append(
+                f"  cells are wide for the spots, shares wrong by up to {plain['grid_error']:.1g}; give more with --cells"
+            )
         return "\n".join([*lines, *self.plant.remarks])
 
     def summary(self) -> str:
@@ -386,9 +393,8 @@ def _rank(
 def _write(r: FluxResult, folder: Path) -> None:
     f, day = r.plant.field, r.step is not None
     unit = "kwh" if day else "kw"
-    for receiver, mesh, values, figure in zip(
-        r.plant.receivers, r.moments[0].meshes, r.maps(), r.figures(), strict=False
-    ):
+    *pictures, plan = r.figures()
+    for receiver, mesh, values, picture in zip(r.plant.receivers, r.moments[0].meshes, r.maps(), pictures, strict=True):
         name = file_name(receiver.name)
         along, up = np.meshgrid(mesh.u / 1e3, mesh.v / 1e3, indexing="ij")
         write_csv(
@@ -397,8 +403,8 @@ def _write(r: FluxResult, folder: Path) -> None:
             np.stack([along.ravel(), up.ravel(), values.ravel()], axis=1).tolist(),
             6,
         )
-        save(figure, folder / f"flux-{name}.png")
-    save(r.figures()[-1], folder / "field.png")
+        save(picture, folder / f"flux-{name}.png")
+    save(plan, folder / "field.png")
     columns = [x / 1e3 for x in f.position.T] + [r.total("power")]
     columns += [r.mean(n) for n in ("cosine", "shaded", "blocked", "transmitted", "spillage", "image_rms")]
     columns[-1] = columns[-1] / 1e3

@@ -23,7 +23,7 @@ RADIAL = """\
 # A plant: site, receivers, optics, and a field of heliostats in {table}. Change what is not as yours.
 # Keys carry their unit; places are in m east, north and up of the tower's foot.
 format = "benchsim-plant/1"
-title = "{count} heliostats in radial stagger"
+title = "Radial stagger"
 
 [site]
 latitude_deg = 37.09

@@ -26,7 +26,10 @@ AHEAD = 1e-9
 """In multiples of a mirror's size: corners nearer to its plane than this lie in it."""
 
 AT_ONCE = 200_000
-"""Pairs that are looked at together: some arrays of 20 MB."""
+"""Pairs that are projected together: some arrays of 20 MB."""
+
+MIRRORS = 256
+"""Whose neighbours are looked for together: along a level ray all mirrors of the field may be."""
 
 
 def lost(
@@ -84,20 +87,21 @@ def along(position: Array, radius: Array, ray: Array, reach: Array) -> tuple[Ind
         rise = np.where(ray[:, 2] > 0, (top - position[:, 2] + radius) / np.maximum(ray[:, 2], 1e-300), np.inf)
     way = np.minimum(rise, reach)
     tree = cKDTree(position)
-    found = tree.query_ball_point(
-        position + way[:, None] / 2 * ray, way / 2 + radius + radius.max(), return_sorted=False
-    )
-    i = np.repeat(np.arange(len(position)), [len(f) for f in found])
-    j = np.concatenate([np.asarray(f, np.intp) for f in found])
-    keep = np.zeros(len(i), bool)
-    for k in range(0, len(i), AT_ONCE):
-        a, b = i[k : k + AT_ONCE], j[k : k + AT_ONCE]
-        apart = position[b] - position[a]
-        deep = (apart * ray[a]).sum(axis=1)
+    pairs = [(np.zeros(0, np.intp), np.zeros(0, np.intp))]
+    for k in range(0, len(position), MIRRORS):
+        some = slice(k, k + MIRRORS)
+        middle, wide = position[some] + way[some, None] / 2 * ray[some], way[some] / 2 + radius[some] + radius.max()
+        found = tree.query_ball_point(middle, wide, return_sorted=False)
+        i = np.repeat(np.arange(k, k + len(found)), [len(f) for f in found])
+        j = np.concatenate([np.asarray(f, np.intp) for f in found])
+        apart = position[j] - position[i]
+        deep = (apart * ray[i]).sum(axis=1)
         aside = (apart**2).sum(axis=1) - deep**2
-        size = radius[a] + radius[b]
-        keep[k : k + AT_ONCE] = (a != b) & (aside < size**2) & (deep > -size) & (deep < way[a] + size)
-    return i[keep], j[keep]
+        size = radius[i] + radius[j]
+        keep = (i != j) & (aside < size**2) & (deep > -size) & (deep < way[i] + size)
+        pairs.append((i[keep], j[keep]))
+    i, j = zip(*pairs, strict=True)
+    return np.concatenate(i), np.concatenate(j)
 
 
 def _projected(

@@ -1,11 +1,14 @@
 """Plants as files: what is read, in which units, and what is refused in which sentence."""
 
 import math
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.instruments.mount import paint
 from benchsim.instruments.mount.geodesy import geodetic
 from benchsim.plant import begun, files, tables
 
@@ -84,6 +87,20 @@ def test_the_table_of_a_diagnosis_is_a_field_too(written):
     (folder / "field.csv").write_text(FOUND)
     p = files.read(folder)
     assert p.field.ids == ("A",) and p.field.kinematics == "east-west" and p.diagnosed[0]["IA"][0] == 1.5e-3
+
+
+def test_a_folder_of_paint_files_is_a_field_of_its_mounts(written):
+    corpus = Path(__file__).resolve().parents[1] / "hostile" / "corpus" / "paint"
+    folder = written(
+        ('name = "target"', 'name = "target"\nkind = "cylinder"'),
+        ("width_m = 3.0", "diameter_m = 3.0"),
+        ("[heliostats]", '[heliostats]\ntable = "paint"\nformat = "paint"'),
+    )
+    shutil.copytree(corpus, folder / "paint")
+    p = files.read(folder)
+    stated = paint.bare(corpus / "AA01").mount.position
+    assert p.field.ids == ("AA01",) and p.field.kinematics == "east-west"
+    np.testing.assert_allclose(p.field.position, [stated], atol=1e-6)
 
 
 def test_what_field_writes_is_read(tmp_path):

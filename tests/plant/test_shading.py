@@ -121,7 +121,7 @@ def test_a_thousand_neighbourhoods():
 def test_neighbourhoods_do_lose_light():
     """Else the fifty above would compare nothing with nothing."""
     some = [lost(*neighbourhood(seed)) for seed in range(50)]
-    assert sum(s.max() > 0.05 for s, _ in some) > 30 and sum(b.max() > 0.05 for _, b in some) > 30
+    assert sum(s.max() > 0.05 for s, _ in some) > 30 and sum(b.max() > 0.05 for _, b in some) > 15
 
 
 @pytest.mark.parametrize("seed", range(20))
