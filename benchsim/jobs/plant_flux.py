@@ -201,7 +201,7 @@ class FluxResult(Shown):
             ]
         if plain["grid_error"] > COARSE:
             lines.append(
-                f"  cells are wide for the spots, shares wrong by up to {plain['grid_error']:.1g}; give more with --cells"
+                f"  cells are wide for the spots, shares off by up to {plain['grid_error']:.1g}; give more with --cells"
             )
         return "\n".join([*lines, *self.plant.remarks])
 
