@@ -33,39 +33,26 @@ def half_planes(k, j, position, normal, width, height, direction):
 
 
 def darkened(polygons, width, height):
-    """Area of the union of convex polygons within a rectangle, by lines."""
-    own = [np.array([[1, 0, width / 2], [-1, 0, width / 2]])]
-    edges = np.concatenate([*polygons, *own])
-    heights = [-height / 2, height / 2]
-    for p, q in itertools.combinations(edges, 2):
-        turn = p[0] * q[1] - p[1] * q[0]
-        if abs(turn) > 1e-12 * np.linalg.norm(p[:2]) * np.linalg.norm(q[:2]):
-            heights.append((p[2] * q[0] - q[2] * p[0]) / turn)
-    for p in edges:
-        if abs(p[0]) < 1e-15 < abs(p[1]):
-            heights.append(-p[2] / p[1])
-    heights = np.unique(np.clip(heights, -height / 2, height / 2))
-    area = 0.0
-    for low, high in itertools.pairwise(heights):
-        v = (low + high) / 2
-        spans = []
-        for rows in polygons:
-            a, b = rows[:, 0], rows[:, 1] * v + rows[:, 2]
-            left, right = -width / 2, width / 2
-            for slope, offset in zip(a, b, strict=True):
-                if abs(slope) < 1e-15:
-                    right = right if offset >= 0 else left
-                elif slope > 0:
-                    left = max(left, -offset / slope)
-                else:
-                    right = min(right, -offset / slope)
-            if right > left:
-                spans.append((left, right))
-        reached = -width / 2
-        for left, right in sorted(spans):
-            area += max(right - max(left, reached), 0.0) * (high - low)
-            reached = max(reached, right)
-    return area
+    """Area of the union of convex polygons (J, 5, 3) within a rectangle, by lines of it."""
+    edges = np.concatenate([np.reshape(polygons, (-1, 3)), [[1, 0, width / 2], [-1, 0, width / 2]]])
+    edges = edges / np.linalg.norm(edges[:, :2], axis=1, keepdims=True)
+    a, b, c = edges.T
+    turn = np.outer(a, b) - np.outer(b, a)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = (np.outer(c, a) - np.outer(a, c)) / turn
+    heights = np.r_[crossing[np.abs(turn) > 1e-12], -c[np.abs(a) < 1e-12] / b[np.abs(a) < 1e-12]]
+    heights = np.unique(np.clip(np.r_[heights, -height / 2, height / 2], -height / 2, height / 2))
+    v = (heights[1:] + heights[:-1]) / 2
+    slope, offset = polygons[..., 0], polygons[..., 1] * v[:, None, None] + polygons[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = -offset / slope
+    left = np.where(slope > 0, at, -np.inf).max(axis=-1).clip(-width / 2, width / 2)
+    right = np.where(slope < 0, at, np.inf).min(axis=-1).clip(-width / 2, width / 2)
+    right = np.where(((slope == 0) & (offset < 0)).any(axis=-1), left, np.maximum(left, right))
+    order = np.argsort(left, axis=1)
+    left, right = np.take_along_axis(left, order, 1), np.take_along_axis(right, order, 1)
+    reached = np.maximum.accumulate(np.c_[np.full(len(v), -width / 2), right], axis=1)[:, :-1]
+    return float(np.maximum(right - np.maximum(left, reached), 0).sum(axis=1) @ np.diff(heights))
 
 
 def neighbourhood(seed):
@@ -95,12 +82,14 @@ def differences(seed):
     worst = 0.0
     for k in range(len(position)):
         others = [j for j in range(len(position)) if j != k]
+        if not others:
+            continue
         by_sun, by_ray = (
-            [half_planes(k, j, position, normal, width, height, d) for j in others] for d in (sun, ray[k])
+            np.array([half_planes(k, j, position, normal, width, height, d) for j in others]) for d in (sun, ray[k])
         )
         area = width[k] * height[k]
-        dark = darkened(by_sun, width[k], height[k]) / area if others else 0.0
-        both = darkened(by_sun + by_ray, width[k], height[k]) / area if others else 0.0
+        dark = darkened(by_sun, width[k], height[k]) / area
+        both = darkened(np.concatenate([by_sun, by_ray]), width[k], height[k]) / area
         worst = max(worst, abs(shaded[k] - dark), abs(shaded[k] + blocked[k] - both))
     return worst, float(np.sum(shaded + blocked))
 
