@@ -100,8 +100,7 @@ def along(position: Array, radius: Array, ray: Array, reach: Array) -> tuple[Ind
         size = radius[i] + radius[j]
         keep = (i != j) & (aside < size**2) & (deep > -size) & (deep < way[i] + size)
         pairs.append((i[keep], j[keep]))
-    i, j = zip(*pairs, strict=True)
-    return np.concatenate(i), np.concatenate(j)
+    return np.concatenate([i for i, _ in pairs]), np.concatenate([j for _, j in pairs])
 
 
 def _projected(

@@ -94,7 +94,7 @@ def test_heliostats_add_up_as_one_by_one():
         by_paper = Errors(e["IA"], e["IE"], e["CA"], math.hypot(e["AN"], e["AW"]), math.atan2(e["AW"], e["AN"]))
         n = deviated_normals(h.position, PLANE.target, SUN, by_paper)[0]
         total = total + 900 * collado.flux(h, PLANE.target, SUN, n, mesh.u[:, None], mesh.v[None, :])
-    np.testing.assert_allclose(m.flux[0], total, rtol=1e-3, atol=1e-3 * total.max())
+    np.testing.assert_allclose(m.flux[0], total, rtol=1e-4, atol=1e-4 * total.max())
 
 
 def test_an_east_west_mount_without_errors_points_where_it_should_and_turns_by_them():
