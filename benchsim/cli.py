@@ -277,6 +277,9 @@ def flux(
     output: Output = None,
     at: Annotated[str | None, typer.Option(help="A time like 2026-06-21T12:00; without a zone in the site's.")] = None,
     day: Annotated[str | None, typer.Option(help="A date like 2026-06-21 instead: sums through the day.")] = None,
+    year: Annotated[
+        int | None, typer.Option(min=1950, max=2100, help="A year instead: sums by four days, each for a quarter.")
+    ] = None,
     step: Annotated[float, typer.Option(help="Hours for which each time of a day stands.")] = 1.0,
     errors: Annotated[
         MountErrors | None, typer.Option(help="Of the mounts; default diagnosed where the plant names it, or stated.")
@@ -292,22 +295,22 @@ def flux(
         list[float] | None, typer.Option(help="Contour in kW/m2, kWh/m2 of a day; may be repeated.")
     ] = None,
     rank: Annotated[
-        bool, typer.Option("--rank", help="With --day: the energy that its errors cost each heliostat.")
+        bool, typer.Option("--rank", help="With --day or --year: the energy that its errors cost each heliostat.")
     ] = False,
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Flux of a plant on its receivers, and what is lost where. At a time, or through a day."""
+    """Flux of a plant on its receivers, and what is lost where. At a time, in a day or a year."""
     from benchsim import jobs
 
-    if (at is None) == (day is None):
-        raise typer.BadParameter("give one of --at and --day", param_hint="--at")
-    if rank and day is None:
-        raise typer.BadParameter("errors are ranked through a day: give --day", param_hint="--rank")
+    if [at, day, year].count(None) != 2:
+        raise typer.BadParameter("give one of --at, --day and --year", param_hint="--at")
+    if rank and at is not None:
+        raise typer.BadParameter("errors are ranked in a day or a year: give --day or --year", param_hint="--rank")
     _do(
-        jobs.flux, json, plant=plant, output=_folder(output, plant, "flux"), at=at, day=day, step=step,
-        errors=errors and errors.value, seed=seed, irradiance=irradiance, cells=cells, levels=level or [], rank=rank,
-        allow_outside=allow_outside,
+        jobs.flux, json, plant=plant, output=_folder(output, plant, "flux"), at=at, day=day, year=year,
+        step=step, errors=errors and errors.value, seed=seed, irradiance=irradiance, cells=cells, levels=level or [],
+        rank=rank, allow_outside=allow_outside,
     )  # fmt: skip
 
 

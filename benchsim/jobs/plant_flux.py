@@ -1,4 +1,4 @@
-"""``benchsim flux``: the flux that a plant makes on its receivers, at a time or through a day, and who loses what."""
+"""``benchsim flux``: the flux that a plant makes on its receivers, at a time, in a day or a year; who loses what."""
 
 from __future__ import annotations
 
@@ -38,6 +38,9 @@ FORMAT = "benchsim-flux/1"
 KINDS = ("stated", "none", "drawn", "diagnosed")
 """Whose errors of the mounts are taken."""
 
+QUARTERS = ("03-21", "06-21", "09-22", "12-21")
+"""Days that stand for a year: the sun's longitude is a quarter of its circle apart."""
+
 LEVELS = (0.25, 0.5, 0.75)
 """Contours of a picture, in parts of the peak, unless they are said."""
 
@@ -50,7 +53,7 @@ TOLD = 5
 
 @dataclass(frozen=True)
 class Rank:
-    """What the mounts' errors cost each heliostat in the day.
+    """What the mounts' errors cost each heliostat in a day or a year.
 
     Attributes
     ----------
@@ -75,7 +78,9 @@ class FluxResult(Shown):
         In the site's zone.
     moments : tuple of Moment
     step : float or None
-        For which each time of a day stands [h]; None: a single time.
+        Between the times of a day [h]; None: a single time.
+    stands : float
+        For which each time stands in sums [h]: the step, and of a year as many days as each of its four does.
     errors : {"stated", "none", "drawn", "diagnosed"}
     seed : int
         Of the drawn errors.
@@ -89,6 +94,7 @@ class FluxResult(Shown):
     times: tuple[datetime, ...]
     moments: tuple[Moment, ...]
     step: float | None
+    stands: float
     errors: str
     seed: int
     levels: tuple[float, ...]
@@ -96,8 +102,8 @@ class FluxResult(Shown):
     folder: Path | None = None
 
     def total(self, name: str) -> Array:
-        """Of every heliostat: the sum of ``power`` or ``reflected`` through the day [kWh], or its value [kW]."""
-        return np.asarray(sum(getattr(m, name) for m in self.moments)) * (self.step or 1.0) / 1e3
+        """Of every heliostat: the sum of ``power`` or ``reflected`` through day or year [kWh], or its value [kW]."""
+        return np.asarray(sum(getattr(m, name) for m in self.moments)) * self.stands / 1e3
 
     def mean(self, name: str) -> Array:
         """Of every heliostat: a mean through the day, by the light that the mirror would reflect were it alone."""
@@ -106,9 +112,9 @@ class FluxResult(Shown):
         return np.asarray((weight * values).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-12))
 
     def maps(self) -> tuple[Array, ...]:
-        """On each receiver: flux [kW/m²], or energy of the day [kWh/m²]."""
+        """On each receiver: flux [kW/m²], or energy of day or year [kWh/m²]."""
         parts = zip(*(m.flux for m in self.moments), strict=True)
-        return tuple(np.asarray(sum(p)) * (self.step or 1.0) / 1e3 for p in parts)
+        return tuple(np.asarray(sum(p)) * self.stands / 1e3 for p in parts)
 
     def losses(self) -> dict[str, float]:
         """Of all the light that the mirrors would reflect were they alone, what part is lost where."""
@@ -135,6 +141,7 @@ class FluxResult(Shown):
             "seed": self.seed if self.errors == "drawn" else None,
             "heliostats": len(f),
             "step_h": self.step,
+            "each_stands_for_h": self.stands,
             "times": [
                 {
                     "time": t.isoformat(),
@@ -185,7 +192,10 @@ class FluxResult(Shown):
             )
             unit = "kW"
         else:
-            when, unit = f"{self.times[0]:%Y-%m-%d}, {len(self.times)} times {self.step:g} h apart", "kWh"
+            days = list(dict.fromkeys(f"{t:%Y-%m-%d}" for t in self.times))
+            what = "the year by " if len(days) > 1 else ""
+            when = f"{what}{', '.join(days)}, {len(self.times)} times {self.step:g} h apart"
+            unit = "kWh"
         lines = [f"{name}: {n} heliostat{'s' if n != 1 else ''}, {when}; {of}"]
         lines += [
             f"  {r['name']}: {r[f'on_it_{unit.lower()}']:.4g} {unit}, peak {r[f'peak_{unit.lower()}_m2']:.4g} {unit}/m²"
@@ -195,7 +205,7 @@ class FluxResult(Shown):
         lines.append(f"  of the light that the mirrors would reflect were each alone: {parts}")
         if self.rank is not None:
             cost = float(self.rank.lost.sum())
-            lines.append(f"  errors of the mounts cost {cost:.4g} kWh in the day; first to be calibrated:")
+            lines.append(f"  errors of the mounts cost {cost:.4g} kWh in that time; first to be calibrated:")
             lines += [
                 f"    {r['id']:<12} {r['lost_kwh']:9.3g} ± {r['sigma_kwh']:.2g} kWh" for r in plain["rank"][:TOLD]
             ]
@@ -228,6 +238,7 @@ def flux(
     *,
     at: str | None = None,
     day: str | None = None,
+    year: int | None = None,
     step: float = 1.0,
     errors: str | None = None,
     seed: int = 0,
@@ -250,6 +261,8 @@ def flux(
         A time of ISO 8601; without a zone in the site's.
     day : str, optional
         A date instead, in the site's zone: sums through the day.
+    year : int, optional
+        A year instead: sums by four days, the equinoxes and solstices, each of which stands for a quarter of it.
     step : float
         For which each time of a day stands, which is its middle [h].
     errors : {"stated", "none", "drawn", "diagnosed"}, optional
@@ -263,7 +276,7 @@ def flux(
     levels : sequence of float
         Of contours [kW/m²], or kWh/m² of a day; default parts of the peak.
     rank : bool
-        With ``day``: what the errors cost each heliostat.
+        With ``day`` or ``year``: what the errors cost each heliostat.
     allow_outside : bool
         Whether the plant's tables may lie outside of its folder.
     progress : callable
@@ -278,25 +291,28 @@ def flux(
         If the plant, the time or an option cannot be used.
     """
     p = plant if isinstance(plant, Plant) else files.read(plant, allow_outside=allow_outside)
-    if (at is None) == (day is None):
-        raise BenchsimError("--at, --day: give one of them, a time or a date")
-    if rank and day is None:
-        raise BenchsimError("--rank: what errors cost is summed through a day; give --day")
+    if [at, day, year].count(None) != 2:
+        raise BenchsimError("--at, --day, --year: give one of them, a time, a date or a year")
+    if rank and at is not None:
+        raise BenchsimError("--rank: what errors cost is summed through a day; give --day or --year")
     kind = errors or ("diagnosed" if p.diagnosed else "stated")
     if kind not in KINDS:
         raise BenchsimError(f"--errors: {kind!r} is none of {', '.join(KINDS)}")
     stated, sigmas = mount_errors(p, kind, seed)
-    times = [_time(at, p)] if at is not None else _times(str(day), step, p)
+    days = [day] if day is not None else [f"{year:04d}-{d}" for d in QUARTERS] if year is not None else []
+    times = [_time(at, p)] if at is not None else [t for d in days for t in _times(d, step, p)]
+    # A day has a whole number of steps.
+    stands = 1.0 if at is not None else 24 / round(24 / step) * (1 if day is not None else 365.25 / len(days))
     suns = _suns(times, p)
     up = [k for k in range(len(times)) if suns[k, 2] > 0]
     if not up:
         low = float(np.degrees(np.arcsin(suns[:, 2].max())))
         raise BenchsimError(
-            f"--{'at' if at else 'day'}: the sun is {-low:.1f} deg below the horizon; name another time"
+            f"--{'at' if at else 'day' if day else 'year'}: the sun is {-low:.1f} deg below the horizon; name another"
         )
     sky = np.full(len(times), irradiance) if irradiance is not None else clear_sky(suns, p.site.elevation)
     grids = meshes(p, cells)
-    options = {"at": at, "day": day, "step": step, "errors": kind, "seed": seed, "irradiance": irradiance}
+    options = {"at": at, "day": day, "year": year, "step": step, "errors": kind, "seed": seed, "irradiance": irradiance}
     with wanted_folder(output, "flux", p.files, options) as staging:
 
         def through(errors: Mapping[str, Array], what: str, start: float, end: float) -> tuple[Moment, ...]:
@@ -308,10 +324,10 @@ def flux(
 
         share = 1 / (2 + len(sigmas)) if rank else 1.0
         moments = through(stated, "flux", 0.0, 0.95 * share)
-        found = _rank(stated, sigmas, moments, through, share, step) if rank else None
+        found = _rank(stated, sigmas, moments, through, share, stands) if rank else None
         result = FluxResult(
-            p, tuple(times[k] for k in up), moments, step if day is not None else None, kind, seed, tuple(levels),
-            found, None if output is None else Path(output),
+            p, tuple(times[k] for k in up), moments, None if at is not None else step, stands, kind, seed,
+            tuple(levels), found, None if output is None else Path(output),
         )  # fmt: skip
         if staging is not None:
             _write(result, staging)
@@ -353,7 +369,7 @@ def _times(text: str, step: float, plant: Plant) -> list[datetime]:
     except ValueError:
         first = None
     if first is None or not 1950 <= first.year <= 2100:
-        raise BenchsimError(f"--day: {text[:40]!r} is no date from 1950 to 2100; write it like 2026-06-21")
+        raise BenchsimError(f"--day, --year: {text[:40]!r} is no date from 1950 to 2100; write it like 2026-06-21")
     if not 1 / 60 <= step <= 6:
         raise BenchsimError(f"--step: {step:g} h is out of range; it must be from a minute, 0.0167, to 6 h")
     start = datetime(first.year, first.month, first.day, tzinfo=plant.site.zone).astimezone(UTC)
@@ -373,10 +389,10 @@ def _rank(
     moments: tuple[Moment, ...],
     through: Any,
     share: float,
-    step: float,
+    stands: float,
 ) -> Rank:
     def energy(some: tuple[Moment, ...]) -> Array:
-        return np.asarray(sum(m.power for m in some)) * step / 1e3
+        return np.asarray(sum(m.power for m in some)) * stands / 1e3
 
     with_errors = energy(moments)
     lost = energy(through({}, "flux without errors", 0.95 * share, 1.9 * share)) - with_errors

@@ -46,7 +46,7 @@ def flux(name: str, kind: str, u: Array, v: Array, values: Array, levels: Sequen
         axes.set_xlim(edges[0][-1], edges[0][0])
         axes.set_xlabel("along the width, to the left (m)")
     axes.set_ylabel("up from the centre (m)")
-    axes.set_title(f"{name}: {'energy of the day' if day else 'flux'}, peak {values.max():.4g} {unit}", fontsize=10)
+    axes.set_title(f"{name}: {'energy' if day else 'flux'}, peak {values.max():.4g} {unit}", fontsize=10)
     return figure
 
 

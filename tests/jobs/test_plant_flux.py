@@ -82,6 +82,14 @@ def test_sums_through_a_day_hardly_depend_on_the_step():
     )
 
 
+def test_a_year_is_a_quarter_of_each_of_four_days():
+    year = bs.flux(PLANTS / "five", year=2026, step=3.0)
+    days = [bs.flux(PLANTS / "five", day=f"2026-{d}", step=3.0) for d in ("03-21", "06-21", "09-22", "12-21")]
+    expected = 365.25 / 4 * sum(d.total("power") for d in days)
+    np.testing.assert_allclose(year.total("power"), expected, rtol=1e-12)
+    assert "the year by 2026-03-21, 2026-06-21" in year.summary()
+
+
 def test_what_errors_cost_is_ranked_with_its_sigma():
     """A heliostat with a large error comes first and loses what it does not catch any more."""
     result = bs.flux(PLANTS / "five", day="2026-03-21", errors="drawn", seed=2, rank=True, step=2.0)
@@ -108,11 +116,11 @@ def test_errors_are_as_diagnosed_where_a_diagnosis_is_named(tmp_path):
     [
         (["--at", "noon"], "--at: 'noon' is no time"),
         (["--at", "2026-06-21T01:00"], "below the horizon"),
-        (["--day", "2026-02-30"], "--day: '2026-02-30' is no date"),
+        (["--day", "2026-02-30"], "--day, --year: '2026-02-30' is no date"),
         (["--day", "2026-06-21", "--step", "20"], "--step: 20 h is out of range"),
         (["--at", NOON, "--errors", "diagnosed"], "heliostats.diagnosed: is missing"),
-        ([], "give one of --at and --day"),
-        (["--at", NOON, "--rank"], "give --day"),
+        ([], "give one of --at, --day and --year"),
+        (["--at", NOON, "--rank"], "give --day or --year"),
     ],
 )
 def test_what_cannot_be_computed_is_told_in_a_sentence(words, says, tmp_path):
