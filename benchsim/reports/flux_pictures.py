@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -55,7 +54,8 @@ def field(position: Array, values: Array, day: bool) -> Figure:
     figure = Figure(figsize=(7.2, 6.0), layout="constrained")
     axes = figure.add_subplot()
     size = float(np.clip(4000 / len(position), 2, 60))
-    shown: PathCollection = axes.scatter(*position[:, :2].T / 1e3, c=values, s=size, cmap="viridis", rasterized=True)
+    east, north = position[:, 0] / 1e3, position[:, 1] / 1e3
+    shown = axes.scatter(east, north, c=values, s=size, cmap="viridis", rasterized=True)
     figure.colorbar(shown, ax=axes, label=f"on the receiver, per area of mirror ({'kWh/m²' if day else 'kW/m²'})")
     axes.plot(0, 0, "k^", markersize=6)
     axes.set_aspect("equal", adjustable="datalim")
