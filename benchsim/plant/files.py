@@ -97,7 +97,7 @@ def read(path: Path | str, *, allow_outside: bool = False) -> Plant:
     optics = Optics(
         1e-3 * f.optics.slope_mrad, 1e-3 * f.optics.specularity_mrad, f.optics.reflectance, f.optics.soiling
     )
-    rows = _rows(f.heliostats, named, site)
+    rows = _rows(f.heliostats, named)
     field = _field(f, rows, receivers, site, file)
     files = [file, *sun_files, *rows.files]
     diagnosed, remarks = None, list(rows.remarks)
@@ -188,10 +188,10 @@ def _measured(path: Path) -> sunshape.SunShape:
     return shape
 
 
-def _rows(h: schema.HeliostatsTable, named: Any, site: Site) -> Rows:
+def _rows(h: schema.HeliostatsTable, named: Any) -> Rows:
     path = named(h.table, "heliostats.table")
     if h.format == "paint":
-        return tables.paint_tree(path, named(h.tower, "heliostats.tower") if h.tower else None, site.place)
+        return tables.paint_tree(path, named(h.tower, "heliostats.tower") if h.tower else None)
     if h.format == "field":
         return tables.diagnosed_table(path)[0]
     return {"benchsim": tables.own, "solarpilot": tables.solarpilot, "soltrace": tables.soltrace}[h.format](path)

@@ -321,8 +321,8 @@ def diagnosed_errors(
     return errors, sigmas, tuple(remarks)
 
 
-def paint_tree(folder: Path, tower: Path | None, origin: Array) -> Rows:
-    """A folder of heliostats' PAINT folders; places are about the plant's own origin (deg, deg, m)."""
+def paint_tree(folder: Path, tower: Path | None) -> Rows:
+    """A folder of heliostats' PAINT folders."""
     if not folder.is_dir():
         raise BenchsimError(f"{folder}: no such folder; name the folder that holds the heliostats' folders")
     inner = sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".") and paint.recognises(p))
