@@ -20,11 +20,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.optimize import least_squares
 
-from benchsim.flux import carlo
-from benchsim.flux.collado import flux
-from benchsim.flux.day import Compensation, Errors, aligned, clear_sky, deviated_normals, flux_at, image_centres
-from benchsim.flux.heliostat import Heliostat, Target, ideal_normal
-from benchsim.flux.table import TABLE, TOWER, Fit, analytic, contradictions, fit_table, sun_at
+from benchsim.fluxes import carlo
+from benchsim.fluxes.collado import flux
+from benchsim.fluxes.day import Compensation, Errors, aligned, clear_sky, deviated_normals, flux_at, image_centres
+from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal
+from benchsim.fluxes.table import TABLE, TOWER, Fit, analytic, contradictions, fit_table, sun_at
 
 MRAD = 1e-3
 LOCAL = -(4 * (110.96 - 105.0) + 1.6) / 60

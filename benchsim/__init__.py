@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from benchsim.jobs.field_diagnosis import field
     from benchsim.jobs.fitting import fit
     from benchsim.jobs.new_recording import new
+    from benchsim.jobs.plant_flux import flux
     from benchsim.jobs.predicting import predict
     from benchsim.jobs.reporting import report
     from benchsim.jobs.running import run
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bench", "BenchsimError", "Camera", "Exposure", "Laser", "Mirror", "Physics", "Recording", "Screen", "Uncertainty",
-    "aim", "board", "calibrate", "check", "diagnose", "effects", "export", "field", "fit", "load", "new", "predict",
-    "render", "report", "run", "sample", "validate",
+    "aim", "board", "calibrate", "check", "diagnose", "effects", "export", "field", "fit", "flux", "load", "new",
+    "predict", "render", "report", "run", "sample", "validate",
 ]  # fmt: skip
 
 #: Sentence shown when drjit was imported before benchsim and no libLLVM was chosen; None if all is well.

@@ -262,6 +262,58 @@ def field(
     )  # fmt: skip
 
 
+class MountErrors(StrEnum):
+    """Whose errors of the mounts a flux is computed with."""
+
+    stated = "stated"
+    none = "none"
+    drawn = "drawn"
+    diagnosed = "diagnosed"
+
+
+@app.command()
+def flux(
+    plant: Annotated[Path, typer.Argument(help="plant.toml, or the folder that holds it.")],
+    output: Output = None,
+    at: Annotated[str | None, typer.Option(help="A time like 2026-06-21T12:00; without a zone in the site's.")] = None,
+    day: Annotated[str | None, typer.Option(help="A date like 2026-06-21 instead: sums through the day.")] = None,
+    year: Annotated[
+        int | None, typer.Option(min=1950, max=2100, help="A year instead: sums by four days, each for a quarter.")
+    ] = None,
+    step: Annotated[float, typer.Option(help="Hours for which each time of a day stands.")] = 1.0,
+    errors: Annotated[
+        MountErrors | None, typer.Option(help="Of the mounts; default diagnosed where the plant names it, or stated.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of drawn errors.")] = 0,
+    irradiance: Annotated[
+        float | None, typer.Option(min=0, max=2000, help="W/m2 on a plane facing the sun; default a clear sky's.")
+    ] = None,
+    cells: Annotated[
+        int | None, typer.Option(min=10, max=1000, help="Of a map along and up; default by the spots' size.")
+    ] = None,
+    level: Annotated[
+        list[float] | None, typer.Option(help="Contour in kW/m2, kWh/m2 of a day; may be repeated.")
+    ] = None,
+    rank: Annotated[
+        bool, typer.Option("--rank", help="With --day or --year: the energy that its errors cost each heliostat.")
+    ] = False,
+    allow_outside: Outside = False,
+    json: Json = False,
+) -> None:
+    """Flux of a plant on its receivers, and what is lost where. At a time, in a day or a year."""
+    from benchsim import jobs
+
+    if [at, day, year].count(None) != 2:
+        raise typer.BadParameter("give one of --at, --day and --year", param_hint="--at")
+    if rank and at is not None:
+        raise typer.BadParameter("errors are ranked in a day or a year: give --day or --year", param_hint="--rank")
+    _do(
+        jobs.flux, json, plant=plant, output=_folder(output, plant, "flux"), at=at, day=day, year=year,
+        step=step, errors=errors and errors.value, seed=seed, irradiance=irradiance, cells=cells, levels=level or [],
+        rank=rank, allow_outside=allow_outside,
+    )  # fmt: skip
+
+
 Amended = Annotated[
     Path, typer.Argument(help="amended.toml of a mount; or a heliostat's properties in the PAINT format.")
 ]
@@ -577,25 +629,29 @@ def new(
     like: Annotated[
         Path | None, typer.Option(help="Bench file or recording of the same bench, whose values are taken over.")
     ] = None,
+    plant: Annotated[
+        bool, typer.Option("--plant", help="Begin a plant instead: plant.toml and a field in radial stagger.")
+    ] = False,
+    heliostats: Annotated[int, typer.Option(min=1, help="Of the plant.")] = 100,
     json: Json = False,
 ) -> None:
-    """Begin a recording from photographs. What they say is filled in, what only you know is marked."""
+    """Begin a recording from photographs, or a plant. What they say is filled in, what only you know is marked."""
     from benchsim import jobs
 
     _do(
         jobs.new, json, folder=folder, photos=[*(photos or []), *(more or [])], calibration=calibration, marks=marks,
-        like=like,
+        like=like, plant=plant, heliostats=heliostats,
     )  # fmt: skip
 
 
 @app.command()
 def check(
-    recording: Annotated[Path, typer.Argument(help="Recording folder.")],
+    recording: Annotated[Path, typer.Argument(help="Recording folder, or a plant's.")],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write; default: none.")] = None,
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Say what a recording still lacks, before anything is fitted. And where it contradicts itself."""
+    """Say what a recording or plant lacks, before anything is fitted. And where it contradicts itself."""
     from benchsim import jobs
 
     if not _do(jobs.check, json, recording=recording, output=output, allow_outside=allow_outside).usable:

@@ -25,7 +25,8 @@ ALLOWED = {
     "instruments": {"bench", "diagnosis", "rays", "trace", "conics", "vector"},
     "detectors": {"bench", "vector"},
     "drone": {"bench", "renderer"},
-    "flux": {"bench", "vector", "instruments", "renderer"},
+    "fluxes": {"bench", "vector", "instruments", "renderer"},
+    "plant": {"bench", "fluxes", "instruments"},
     "jobs": {
         "bench",
         "boards",
@@ -39,6 +40,8 @@ ALLOWED = {
         "reports",
         "renderer",
         "instruments",
+        "fluxes",
+        "plant",
     },
     "llvm": set(),
     "api": {"bench", "jobs"},

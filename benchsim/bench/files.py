@@ -6,7 +6,6 @@ Every complaint is one sentence with file, key and mend.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 import benchsim
 from benchsim.bench import schema
+from benchsim.bench.complaints import UNFILLED, complaint, first
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import FORMS, Field, field
 from benchsim.bench.marks import read_marks
@@ -41,21 +41,6 @@ from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write
 
 __all__ = ["UNFILLED", "complaints", "read", "shipped", "sources", "write"]
-
-UNFILLED = "?"
-"""Value of a key that only the person at the bench knows, in a file that was begun for them."""
-
-_TABLE_MODELS: dict[str, type[BaseModel]] = {
-    "laser": schema.LaserTable,
-    "mirror": schema.MirrorTable,
-    "screen": schema.ScreenTable,
-    "cameras": schema.CameraTable,
-    "physics": schema.PhysicsTable,
-    "uncertainty": schema.UncertaintyTable,
-    "expander": schema.ExpanderTable,
-    "render": schema.RenderTable,
-    "exposure": schema.ExposureTable,
-}
 
 
 def shipped(name: str) -> Recording:
@@ -99,7 +84,7 @@ def read(path: str | Path, *, images: bool | None = None, allow_outside: bool = 
     try:
         checked = schema.RecordingFile.model_validate(data)
     except ValidationError as error:
-        raise BenchsimError(f"{file.name}: {_first_complaint(error)}") from None
+        raise BenchsimError(f"{file.name}: {first(error, schema.RecordingFile)}") from None
     marks = inside(file.parent, checked.screen.marks, f"{file.name}: screen.marks", allow_outside=allow_outside)
     recording = replace(_convert(checked, file, marks), defaults_used=tuple(_defaults(checked)))
     _check(recording, file, images, allow_outside)
@@ -138,7 +123,7 @@ def complaints(path: str | Path) -> list[tuple[str, str]]:
     except ValidationError as error:
         found: dict[str, str] = {}
         for one in error.errors():
-            key, mend = _complaint(one)
+            key, mend = complaint(one, schema.RecordingFile)
             found.setdefault(key, mend)
         return list(found.items())
     return []
@@ -166,79 +151,6 @@ def _toml_path(path: Path) -> Path:
     if not path.exists():
         raise BenchsimError(f"{path}: no such file or folder; check the path")
     return path
-
-
-def _first_complaint(error: ValidationError) -> str:
-    """Turn pydantic's first error into one sentence with key and mend; unknown keys first, they explain the rest."""
-    errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    return ": ".join(_complaint(errors[0]))
-
-
-def _complaint(first: Any) -> tuple[str, str]:
-    """Key and mend of one of pydantic's errors."""
-    loc = [
-        part
-        for part in first["loc"]
-        if part not in ("float", "constrained-float", "function-wrap") and not _is_union_tag(part)
-    ]
-    key = _key_name(loc)
-    kind, value = first["type"], first.get("input")
-    if kind == "extra_forbidden":
-        return key, f"unknown key; {_suggestion(loc)}"
-    if kind == "missing":
-        return key, "required and missing; add it"
-    if value == UNFILLED:
-        return key, "not filled in; write what it is on your bench"
-    return key, _mend(kind, first, value)
-
-
-def _is_union_tag(part: Any) -> bool:
-    return isinstance(part, str) and (part.startswith(("literal[", "constrained")) or part in {"int", "str", "none"})
-
-
-def _key_name(loc: list[Any]) -> str:
-    name = ""
-    for part in loc:
-        name += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if name else str(part)
-    return name
-
-
-def _suggestion(loc: list[Any]) -> str:
-    known = list(schema.RecordingFile.model_fields)
-    if len(loc) > 1:
-        model = _TABLE_MODELS.get(str(loc[0]))
-        known = list(model.model_fields) if model else known
-    close = difflib.get_close_matches(str(loc[-1]), known, n=1, cutoff=0.6)
-    return f"did you mean '{close[0]}'?" if close else f"remove it, known keys are {', '.join(known)}"
-
-
-def _mend(kind: str, first: Any, value: Any) -> str:
-    ctx = first.get("ctx", {})
-    shown = repr(value) if len(repr(value)) < 60 else repr(value)[:57] + "…"
-    if kind in ("float_type", "int_type", "float_parsing"):
-        what = "a whole number" if kind == "int_type" else "a number"
-        return f"{shown} is not {what}; write {what} in the key's own unit, without quotes"
-    if kind == "finite_number":
-        return f"{shown} is not finite; give a finite number"
-    if kind in ("too_short", "too_long"):
-        want = ctx.get("min_length", ctx.get("max_length"))
-        limit = "at least" if kind == "too_short" else "at most"
-        return f"{shown} has {len(value)} entries; {limit} {want} are"
-    if kind == "list_type":
-        return f"{shown} is not a list; write it in brackets"
-    if kind == "literal_error":
-        return f"{shown} is not known; use {ctx.get('expected')}"
-    if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
-        word = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
-        limits = ", ".join(f"{word[k]} {v:g}" for k, v in ctx.items() if k in word)
-        return f"{shown} is out of range; it must be {limits} (check the unit in the key)"
-    if kind == "bool_type":
-        return f"{shown} is neither true nor false; write true or false without quotes"
-    if kind == "string_type":
-        return f"{shown} is not text; put it in quotes"
-    if kind in ("model_type", "dict_type", "model_attributes_type"):
-        return f"{shown} is not a table; write it as a [table]"
-    return f"{shown}: {first['msg'][0].lower()}{first['msg'][1:]}; mend that value"
 
 
 def _convert(f: schema.RecordingFile, file: Path, marks: Path) -> Recording:

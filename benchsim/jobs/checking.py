@@ -22,9 +22,11 @@ from benchsim.intake import metadata, trace_placement
 from benchsim.intake.finding import Finding, Kind
 from benchsim.intake.photo import Photo, read_photo
 from benchsim.intake.picture_content import look
+from benchsim.jobs import plant_files
 from benchsim.jobs.output import label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
+from benchsim.plant import files as plants
 
 SETTINGS_TO_HOLD_OUT = 3
 """Fewer settings leave none to test a diagnosis on."""
@@ -96,13 +98,13 @@ def check(
     *,
     allow_outside: bool = False,
     progress: Progress = silent,
-) -> CheckResult:
-    """Say what a recording lacks and where it contradicts itself.
+) -> CheckResult | plant_files.PlantCheck:
+    """Say what a recording, or a plant, lacks and where it contradicts itself.
 
     Parameters
     ----------
     recording : path
-        Recording folder or file.
+        Recording folder or file; or a plant's.
     output : path, optional
         Folder for ``check.json`` and ``check.txt``; default: nothing is written.
     allow_outside : bool
@@ -112,7 +114,7 @@ def check(
 
     Returns
     -------
-    CheckResult
+    CheckResult or PlantCheck
 
     Raises
     ------
@@ -127,6 +129,8 @@ def check(
     ('exposure[1].image', "required and missing; name the photograph, or run 'benchsim render' first")
     """
     path = Path(recording)
+    if plants.recognises(path):
+        return plant_files.check(path, None if output is None else Path(output), allow_outside)
     findings = _keys(path)
     read_in: Recording | None = None
     if not findings:

@@ -1,4 +1,4 @@
-"""``benchsim new``: a recording begun from photographs, with what only the user knows marked."""
+"""``benchsim new``: a recording begun from photographs, with what only the user knows marked; or a plant."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from benchsim.calibration.record import read_camera
 from benchsim.intake.filling import Shot, alike, cameras_of, recording_toml
 from benchsim.intake.pairing import laser_light, pair
 from benchsim.intake.photo import SUFFIXES, Photo, read_photo
+from benchsim.jobs import plant_files
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 
@@ -61,13 +62,15 @@ class NewResult(Shown):
 
 def new(
     folder: Path | str,
-    photos: Sequence[Path | str],
+    photos: Sequence[Path | str] = (),
     *,
+    plant: bool = False,
+    heliostats: int = 100,
     calibration: Path | str | None = None,
     marks: Path | str | None = None,
     like: Path | str | None = None,
     progress: Progress = silent,
-) -> NewResult:
+) -> NewResult | plant_files.PlantMade:
     """Begin a recording from photographs: a commented ``recording.toml``, the pictures and, if given, the marks.
 
     Parameters
@@ -76,6 +79,10 @@ def new(
         Is made; must not hold a ``recording.toml``, which a person may have filled in.
     photos : sequence of paths
         Pictures, or folders of them. Those that lie in ``folder`` are named where they are, others are copied.
+    plant : bool
+        Begin a plant instead: ``plant.toml`` and ``heliostats.csv``, laid out in radial stagger.
+    heliostats : int
+        Of the plant.
     calibration : path, optional
         ``camera.toml`` of ``benchsim calibrate``; its camera tables and their uncertainty are copied.
     marks : path, optional
@@ -88,7 +95,7 @@ def new(
 
     Returns
     -------
-    NewResult
+    NewResult or PlantMade
 
     Raises
     ------
@@ -96,6 +103,10 @@ def new(
         If a photograph, the calibration or the folder cannot be used; nothing is written then.
     """
     target = Path(folder)
+    if plant:
+        if photos or calibration or marks or like:
+            raise BenchsimError("--plant: a plant is not begun from photographs; leave the other options out")
+        return plant_files.begin(target, heliostats)
     file = target / FILE
     if file.exists():
         raise BenchsimError(

@@ -29,6 +29,7 @@ from benchsim.instruments.mount import paint, pointing, stated
 from benchsim.intake.photo import read_photo
 from benchsim.jobs import reporting
 from benchsim.jobs.field_diagnosis import heliostats
+from benchsim.plant import files as plants
 from benchsim.trial import ledger
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -57,6 +58,11 @@ def session(path):
     stated.read(path)
 
 
+def plant(path):
+    plants.complaints(path.parent)
+    plants.read(path.parent)
+
+
 READERS = {
     "recording/recording.toml": recording,
     "recording/marks.csv": read_marks,
@@ -67,6 +73,8 @@ READERS = {
     "tpoint/run.dat": lambda path: (pointing.recognises(path), pointing.read(path)),
     "mmt/run.log": lambda path: (pointing.recognises(path), pointing.read(path)),
     "mount/mount.toml": session,
+    **{f"plant/{name}": plant for name in ("plant.toml", "heliostats.csv", "sun.csv", "field.csv")},
+    **{f"plant-{kind}/layout.csv": plant for kind in ("solarpilot", "soltrace")},
     "field/field.csv": lambda path: heliostats(path, None),
     **{f"validation/{name}.json": of_folder(reporting.build) for name in ("page", "validation", "conics", "benchsim")},
     **{f"diagnosis/{name}.json": of_folder(reporting.build) for name in ("page", "diagnosis", "pixels", "benchsim")},

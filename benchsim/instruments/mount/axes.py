@@ -101,12 +101,16 @@ def _az_el(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
 
 def _east_west(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
     first, second = (
-        actuator_angle(
-            a,
-            reading[:, k] + a.increment * _of(x, f"grown_{k + 1}"),
-            *(_of(x, f"{n}_{k + 1}") for n in ("length", "offset", "radius")),
+        (
+            actuator_angle(
+                a,
+                reading[:, k] + a.increment * _of(x, f"grown_{k + 1}"),
+                *(_of(x, f"{n}_{k + 1}") for n in ("length", "offset", "radius")),
+            )
+            for k, a in enumerate(mount.actuators)
         )
-        for k, a in enumerate(mount.actuators)
+        if mount.actuators
+        else reading.T
     )
     # The second joint's tilt about east adds to the first angle, which turns about east, too.
     first = first + mount.zero[0] + _of(x, "IE") + mount.tilts[2]

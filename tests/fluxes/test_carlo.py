@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from benchsim.flux import carlo
-from benchsim.flux.collado import flux
-from benchsim.flux.heliostat import Heliostat, Target, ideal_normal
-from benchsim.flux.table import TABLE, Field, sun_at
+from benchsim.fluxes import carlo
+from benchsim.fluxes.collado import flux
+from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal
+from benchsim.fluxes.table import TABLE, Field, sun_at
 
 FIELD = Field(658e3, 561e3, 310.0, 12.15)
 SIGMA = 9e-3

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from benchsim.flux.collado import flux
-from benchsim.flux.heliostat import Heliostat, Target, ideal_normal
+from benchsim.fluxes.collado import flux
+from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal
 from benchsim.vector import solar_vector, sun_angles
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """A heliostat's flux by Monte Carlo in Mitsuba: spherical facets, Gaussian sun, Gaussian slopes, a plane target.
 
-Nothing is shared with `benchsim.flux.collado` but the heliostat and the target: rays start at random places before a
+Nothing is shared with `benchsim.fluxes.collado` but the heliostat and the target: rays start at random places before a
 facet from a random point of the sun, meet a sphere (a shape of Mitsuba's), are reflected at its normal, disturbed by a
 random slope, and meet the target's rectangle. No blocking, no shading.
 
@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchsim.flux.heliostat import Heliostat, Target, mirror_axes, unit
+from benchsim.fluxes.heliostat import Heliostat, Target, mirror_axes, unit
 from benchsim.renderer.backend import use
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchsim.flux.collado import flux
-from benchsim.flux.heliostat import Heliostat, Target, ideal_normal, landing
+from benchsim.fluxes.collado import flux
+from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal, landing
 from benchsim.instruments.mount.axes import pointing, reflected
 from benchsim.instruments.mount.records import Mount, angles
 
@@ -205,14 +205,13 @@ def flux_at(
     return Moment(irradiance * values, target)
 
 
-def clear_sky(sun: ArrayLike) -> Array:
-    """Direct normal irradiance of a clear sky [W/m²], of suns (T, 3).
+def clear_sky(sun: ArrayLike, altitude: float = ALTITUDE) -> Array:
+    """Direct normal irradiance of a clear sky [W/m²], of suns (T, 3) at an altitude [m].
 
-    Ineichen's simplified Solis model of pvlib with its own aerosol and water, at `ALTITUDE`; the paper does not say
-    which it uses.
+    Ineichen's simplified Solis model of pvlib with its own aerosol and water; the paper does not say which it uses.
     """
     from pvlib import atmosphere, clearsky
 
     elevation = np.degrees(np.arcsin(np.atleast_2d(np.asarray(sun, float))[:, 2]))
-    sky = clearsky.simplified_solis(elevation, pressure=float(atmosphere.alt2pres(ALTITUDE)))
+    sky = clearsky.simplified_solis(elevation, pressure=float(atmosphere.alt2pres(altitude)))
     return np.asarray(sky["dni"], float)

@@ -5,9 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from benchsim.flux.day import Compensation, Errors, Moment, aligned, clear_sky, deviated_normals, flux_at, image_centres
-from benchsim.flux.heliostat import Heliostat, Target, ideal_normal
-from benchsim.flux.table import sun_at
+from benchsim.fluxes.day import (
+    Compensation,
+    Errors,
+    Moment,
+    aligned,
+    clear_sky,
+    deviated_normals,
+    flux_at,
+    image_centres,
+)
+from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal
+from benchsim.fluxes.table import sun_at
 
 TARGET = Target((0.0, 0.0, 32_000.0), 8000.0, 8000.0)
 PLACE = (60e3, 104e3, 0.0)

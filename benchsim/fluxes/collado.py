@@ -14,7 +14,7 @@ here they are those of the map itself.) On a target that is not the image plane 
 incidence there, and points are carried to the image plane along the central ray.
 
 Not for mirrors of another focal length than their distance, where the map is not conformal, nor for slope errors that
-dominate at large incidence: they spread light less across the plane of incidence than in it (`benchsim.flux.carlo`).
+dominate at large incidence: they spread light less across the plane of incidence than in it (`benchsim.fluxes.carlo`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf
 
-from benchsim.flux.heliostat import Heliostat, Target, mirror_axes
+from benchsim.fluxes.heliostat import Heliostat, Target, mirror_axes
 from benchsim.instruments.mount.axes import reflected
 
 Array = NDArray[np.float64]

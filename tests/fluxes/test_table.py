@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from benchsim.flux import table
-from benchsim.flux.table import TABLE, Field, Row, analytic, contradictions, fit_table, least_gap
+from benchsim.fluxes import table
+from benchsim.fluxes.table import TABLE, Field, Row, analytic, contradictions, fit_table, least_gap
 
 
 @pytest.fixture(scope="module")

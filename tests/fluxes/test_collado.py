@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.flux.collado import flux
-from benchsim.flux.heliostat import Heliostat, Target, ideal_normal, landing
-from benchsim.flux.table import sun_at
+from benchsim.fluxes.collado import flux
+from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal, landing
+from benchsim.fluxes.table import sun_at
 from benchsim.instruments.mount.axes import reflected
 
 BIG = Target((0.0, 0.0, 32_000.0), 40_000.0, 40_000.0)

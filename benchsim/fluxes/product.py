@@ -1,0 +1,117 @@
+"""`benchsim.fluxes.collado` of many heliostats at once, on any points of a receiver.
+
+The formula and its limits are stated there. Points of a curved receiver are carried to each heliostat's image plane
+along its central ray like those of a plane, and each point has its own obliquity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from benchsim.fluxes.collado import _LEAST
+from benchsim.fluxes.heliostat import mirror_axes
+
+Array = NDArray[np.float64]
+
+AT_ONCE = 2**19
+"""Values of flux that are worked on at once: some arrays of 4 MB."""
+
+
+@dataclass(frozen=True)
+class Beams:
+    """What heliostats send.
+
+    Attributes
+    ----------
+    position, normal : (n, 3)
+        [mm], unit vectors.
+    width, height : (n,) mm
+    spread : (n,)
+        Standard deviation of the light in one direction [rad].
+    distance : (n,)
+        To the image plane, at which the mirrors are focused [mm].
+    sun : (3,)
+    """
+
+    position: Array
+    normal: Array
+    width: Array
+    height: Array
+    spread: Array
+    distance: Array
+    sun: Array
+
+    @property
+    def cosine(self) -> Array:
+        """Of incidence, (n,)."""
+        return np.asarray(self.normal @ self.sun)
+
+    @property
+    def ray(self) -> Array:
+        """Directions of the central rays, (n, 3)."""
+        return np.asarray(2 * self.normal * self.cosine[:, None] - self.sun)
+
+    @property
+    def image_rms(self) -> Array:
+        """Of the distance of the light from the central ray on the image plane, (n,) mm: image and Gaussian."""
+        shrink = 1 - self.cosine
+        return np.asarray(
+            np.sqrt(2 * (self.spread * self.distance) ** 2 + shrink**2 * (self.width**2 + self.height**2) / 12)
+        )
+
+    def chosen(self, index: NDArray[np.intp]) -> Beams:
+        """Some of the heliostats."""
+        return Beams(
+            self.position[index], self.normal[index], self.width[index], self.height[index], self.spread[index],
+            self.distance[index], self.sun,
+        )  # fmt: skip
+
+
+def flux(beams: Beams, points: Array, normals: Array) -> Array:
+    """Flux of each heliostat at each point, (n, M), as a multiple of the irradiance on a plane that faces the sun.
+
+    Parameters
+    ----------
+    beams : Beams
+    points : (M, 3) mm
+    normals : (M, 3) or (1, 3)
+        Of the receiver's lit side.
+    """
+    s, n, r, cosine = beams.sun, beams.normal, beams.ray, beams.cosine
+    shrink = np.maximum(1 - cosine, _LEAST)
+    width = np.sqrt(2) * beams.spread * beams.distance
+    density = np.maximum(cosine, 0) / shrink**2
+    oblique = np.maximum(-(r @ normals.T), 0)
+    out = density[:, None] * oblique * 0.25
+    if out.shape[1] != len(points):
+        out = np.repeat(out, len(points), axis=1)
+    for edge, length in zip(mirror_axes(n), (beams.width, beams.height), strict=True):
+        on_image = edge - (edge * r).sum(axis=1, keepdims=True) * r
+        turned = on_image - (edge @ s)[:, None] * (n - cosine[:, None] * r) - cosine[:, None] * on_image
+        turned /= shrink[:, None]
+        on_image = np.where((1 - cosine > _LEAST)[:, None], turned, on_image) / width[:, None]
+        along = on_image @ points.T - (on_image * beams.position).sum(axis=1, keepdims=True)
+        half = (length * shrink / 2 / width)[:, None]
+        out *= erf(along + half) - erf(along - half)
+    return out
+
+
+def batches(beams: Beams, points: Array, normals: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Array]]:
+    """`flux` of a few heliostats at a time: their index, that of the points which one of them lights, and the flux.
+
+    Heliostats go by azimuth, so that those of one batch light the same side of a receiver.
+    """
+    count = max(1, AT_ONCE // len(points))
+    ray = beams.ray
+    order = np.argsort(np.arctan2(ray[:, 0], ray[:, 1]))
+    every = np.arange(len(points))
+    for start in range(0, len(order), count):
+        some = order[start : start + count]
+        lit = every if len(normals) == 1 else np.flatnonzero((ray[some] @ normals.T < 0).any(axis=0))
+        if len(lit):
+            yield some, lit, flux(beams.chosen(some), points[lit], normals if len(normals) == 1 else normals[lit])

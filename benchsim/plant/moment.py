@@ -1,0 +1,157 @@
+"""A plant at one moment: where its mirrors point, what of their light is lost and where, and the flux it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from benchsim.fluxes.heliostat import ideal_normal
+from benchsim.fluxes.product import Beams, batches
+from benchsim.instruments.mount.axes import pointing
+from benchsim.instruments.mount.records import Mount, angles
+from benchsim.plant.model import Field, Mesh, Plant
+from benchsim.plant.shading import lost
+
+Array = NDArray[np.float64]
+
+NOTHING: Mapping[str, Array] = {}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A plant at one moment, of n heliostats.
+
+    Attributes
+    ----------
+    sun : (3,)
+        Unit vector toward it.
+    irradiance : float
+        On a plane that faces the sun [W/m²].
+    cosine, shaded, blocked, transmitted, caught : (n,)
+        Of incidence; parts of the mirror's area; parts of the light that the air lets pass, and that then meets the
+        receiver.
+    power : (n,)
+        On the receiver [W].
+    reflected : (n,)
+        By the mirror were it alone [W].
+    image_rms : (n,)
+        Of the light's distance from the central ray on the plane perpendicular to it [mm].
+    landing : (n, 2)
+        Where the central ray meets the receiver's surface, along and up [mm]; nan: it does not.
+    flux : tuple of (along, up) arrays
+        On each receiver [W/m²].
+    meshes : tuple of Mesh
+    grid : float
+        By how much the shares caught change, at most, without the edge correction: what finer cells may change.
+    """
+
+    sun: Array
+    irradiance: float
+    cosine: Array
+    shaded: Array
+    blocked: Array
+    transmitted: Array
+    caught: Array
+    power: Array
+    reflected: Array
+    image_rms: Array
+    landing: Array
+    flux: tuple[Array, ...]
+    meshes: tuple[Mesh, ...]
+    grid: float
+
+    @property
+    def spillage(self) -> Array:
+        """Part of the light that reaches the receiver's distance and misses it, (n,)."""
+        return np.asarray(1 - self.caught)
+
+
+def normals(field: Field, sun: ArrayLike, errors: Mapping[str, Array] = NOTHING) -> Array:
+    """Of mirrors that are driven to where they should point and have errors, (n, 3)."""
+    ideal = ideal_normal(field.position, field.aim, sun)
+    if not any(np.any(v) for v in errors.values()):
+        return ideal
+    if field.kinematics == "az-el":
+        reading = np.stack(angles(ideal), axis=1)
+    else:
+        # Both angles of `axes` at which the mirror's normal, south at 0, is the ideal one.
+        e, n, u = ideal.T
+        reading = np.stack([np.arctan2(-u, -n), np.arcsin(np.clip(e, -1, 1))], axis=1)
+    return pointing(Mount(field.kinematics, "spot"), reading, errors)[0]
+
+
+def transmitted(distance: Array, kind: str) -> Array:
+    """Part of the light that the air lets pass, of distances [mm].
+
+    Clear: MIRVAL's for a visual range of some 23 km, Leary & Hankins 1979 (SAND77-8280): 0.99321 − 1.176e-4 d +
+    1.97e-8 d² to 1 km, exp(−1.106e-4 d) beyond (d in m).
+    """
+    if kind == "none":
+        return np.ones_like(distance)
+    d = distance / 1e3
+    return np.asarray(np.where(d <= 1e3, 0.99321 - 1.176e-4 * d + 1.97e-8 * d**2, np.exp(-1.106e-4 * d)))
+
+
+def meshes(plant: Plant, cells: int | None = None) -> tuple[Mesh, ...]:
+    """Grids of the receivers whose cells are half as wide as the narrowest spot's sigma, or ``cells`` along and up."""
+    narrow = float((plant.spread * plant.field.distance).min())
+    if cells is not None:
+        return tuple(r.mesh(1.0, cells, cells) for r in plant.receivers)
+    return tuple(r.mesh(narrow / 2) for r in plant.receivers)
+
+
+def moment(
+    plant: Plant,
+    sun: ArrayLike,
+    irradiance: float,
+    errors: Mapping[str, Array] = NOTHING,
+    grids: tuple[Mesh, ...] | None = None,
+) -> Moment:
+    """What a plant does at one moment.
+
+    Parameters
+    ----------
+    plant : Plant
+    sun : (3,) array
+        Unit vector toward it.
+    irradiance : float
+        On a plane that faces the sun [W/m²].
+    errors : mapping of str to (n,)
+        Of the mounts, as `Field.errors`.
+    grids : tuple of Mesh, optional
+        Default `meshes`.
+    """
+    s, f = np.asarray(sun, float), plant.field
+    grids = grids or meshes(plant)
+    n = normals(f, s, errors)
+    beams = Beams(f.position, n, f.width, f.height, plant.spread, f.distance, s)
+    cosine = np.maximum(beams.cosine, 0.0)
+    ray = beams.ray
+    shaded, blocked = lost(f.position, n, f.width, f.height, s, ray, f.distance)
+    through = transmitted(f.distance, plant.site.attenuation)
+    o = plant.optics
+    area = f.area / 1e6
+    reflected = irradiance * area * cosine * o.reflectance * (1 - o.soiling)
+    arrives = irradiance * o.reflectance * (1 - o.soiling) * (1 - shaded - blocked) * through
+    caught, rough, place = np.zeros(len(f)), np.zeros(len(f)), np.full((len(f), 2), np.nan)
+    maps = []
+    for k, (receiver, mesh) in enumerate(zip(plant.receivers, grids, strict=True)):
+        own = np.flatnonzero(f.receiver == k)
+        total = np.zeros(len(mesh.points))
+        cell = receiver.extent[0] * receiver.extent[1] / len(mesh.points)
+        for some, lit, values in batches(beams.chosen(own), mesh.points, mesh.normals):
+            who = own[some]
+            total[lit] += arrives[who] @ values
+            caught[who] = values @ mesh.weights[lit]
+            rough[who] = values.sum(axis=1) * cell
+        place[own] = receiver.landing(f.position[own], ray[own])
+        maps.append(total.reshape(mesh.shape))
+    whole = f.area * np.maximum(cosine, 1e-12)
+    caught, rough = np.clip(caught / whole, 0, 1), rough / whole
+    return Moment(
+        s, irradiance, cosine, shaded, blocked, through, caught, reflected * (1 - shaded - blocked) * through * caught,
+        reflected, beams.image_rms, place, tuple(maps), grids, float(np.abs(caught - rough).max()),
+    )  # fmt: skip

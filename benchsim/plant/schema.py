@@ -1,0 +1,84 @@
+"""The plant file's keys, units, defaults and plausible ranges, as pydantic models."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from benchsim.bench.reading import RAISED
+from benchsim.bench.schema import Fraction, Table
+
+FORMAT = "benchsim-plant/1"
+
+MOST_HELIOSTATS = RAISED * 100_000
+MOST_RECEIVERS = 20
+
+Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
+Place = Annotated[list[Metres], Field(min_length=3, max_length=3)]
+Size = Annotated[float, Field(ge=0.1, le=200)]
+Edge = Annotated[float, Field(ge=0.1, le=50)]
+Reach = Annotated[float, Field(ge=1, le=1e5)]
+Mrad = Annotated[float, Field(ge=0, le=50)]
+Angle = Annotated[float, Field(ge=-100, le=100)]
+Count = Annotated[int, Field(ge=1, le=1000)]
+Name = Annotated[str, Field(min_length=1, max_length=60)]
+
+
+class SiteTable(Table):
+    latitude_deg: Annotated[float, Field(ge=-90, le=90)]
+    longitude_deg: Annotated[float, Field(ge=-180, le=360)]
+    elevation_m: Annotated[float, Field(ge=-500, le=6000)] = 0.0
+    time_zone: Name = "UTC"
+    attenuation: Literal["clear", "none"] = "clear"
+
+
+class ReceiverTable(Table):
+    name: Name
+    kind: Literal["plane", "aperture", "cylinder"] = "plane"
+    centre_m: Place
+    width_m: Size | None = None
+    diameter_m: Size | None = None
+    height_m: Size
+    azimuth_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    elevation_deg: Annotated[float, Field(ge=-85, le=85)] = 0.0
+
+
+class SunTable(Table):
+    shape: Literal["gaussian", "pillbox", "buie", "table"] = "pillbox"
+    sigma_mrad: Annotated[float, Field(ge=0.1, le=50)] | None = None
+    half_angle_mrad: Annotated[float, Field(ge=0.1, le=50)] | None = None
+    csr: Annotated[float, Field(ge=0.001, le=0.8)] | None = None
+    table: Name | None = None
+
+
+class OpticsTable(Table):
+    slope_mrad: Mrad
+    specularity_mrad: Mrad = 0.0
+    reflectance: Annotated[float, Field(gt=0, le=1)]
+    soiling: Fraction = 0.0
+
+
+class HeliostatsTable(Table):
+    table: Name = "heliostats.csv"
+    format: Literal["benchsim", "solarpilot", "soltrace", "paint", "field"] = "benchsim"
+    tower: Name | None = None
+    kinematics: Literal["az-el", "east-west"] | None = None
+    width_m: Edge | None = None
+    height_m: Edge | None = None
+    facets: Annotated[list[Count], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [1, 1])
+    focal_m: Reach | None = None
+    canting_m: Reach | None = None
+    receiver: Name | None = None
+    diagnosed: Name | None = None
+
+
+class PlantFile(Table):
+    format: Literal["benchsim-plant/1"]
+    title: str = ""
+    site: SiteTable
+    receiver: Annotated[list[ReceiverTable], Field(min_length=1, max_length=MOST_RECEIVERS)]
+    sun: SunTable = Field(default_factory=SunTable)
+    optics: OpticsTable
+    heliostats: HeliostatsTable
+    errors: dict[str, Angle] = Field(default_factory=dict)

@@ -1,0 +1,142 @@
+"""``benchsim flux`` and what belongs to it: plants begun, checked, computed, on a terminal and in Python."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import benchsim as bs
+from benchsim.cli import app
+from benchsim.fluxes.day import Errors, clear_sky, deviated_normals, flux_at
+from benchsim.fluxes.heliostat import Heliostat, Target
+
+PLANTS = Path(__file__).resolve().parents[2] / "scenes" / "plants"
+NOON = "2026-06-21T12:00"
+
+
+def run(*words):
+    return CliRunner().invoke(app, [str(w) for w in words])
+
+
+def test_the_papers_five_heliostats_make_the_flux_that_the_room_computes():
+    """Through the command's function against `flux_at`, which tests of the room hold, at the same sun."""
+    result = bs.flux(PLANTS / "five", at=NOON, errors="drawn", seed=4, cells=81)
+    m, f = result.moments[0], result.plant.field
+    rng = np.random.default_rng(4)
+    errors = {k: f.sigmas[k] * rng.standard_normal(5) for k in f.sigmas}
+    target = Target((0.0, 0.0, 32e3), 6e3, 6e3)
+    helios = [Heliostat(tuple(p), 6e3, 6e3, 2.5e-3, 1e-3, 0.9) for p in f.position]
+    normals = []
+    for k, h in enumerate(helios):
+        e = {n: float(v[k]) for n, v in errors.items()}
+        by_paper = Errors(e["IA"], e["IE"], e["CA"], np.hypot(e["AN"], e["AW"]), np.arctan2(e["AW"], e["AN"]))
+        normals.append(deviated_normals(h.position, target, m.sun, by_paper)[0])
+    expected = flux_at(helios, target, m.sun, normals, float(clear_sky(m.sun, 200.0)[0]), 81).values
+    assert m.shaded.max() == m.blocked.max() == 0
+    np.testing.assert_allclose(result.maps()[0], expected / 1e3, rtol=2e-3, atol=2e-3 * expected.max() / 1e3)
+    assert result.maps()[0].max() == pytest.approx(expected.max() / 1e3, rel=1e-3)
+
+
+def test_a_plant_is_begun_checked_and_computed(tmp_path):
+    plant, out = tmp_path / "plant", tmp_path / "out"
+    assert "30 heliostats" in run("new", plant, "--plant", "--heliostats", 30).output
+    checked = run("check", plant)
+    assert checked.exit_code == 0 and "30 heliostats" in checked.output
+    done = run("flux", plant, "--at", NOON, "-o", out, "--level", 10, "--level", 50)
+    assert done.exit_code == 0, done.output
+    assert done.output.splitlines()[-1] == f"written: {out}/"
+    names = {p.name for p in out.iterdir()}
+    assert names == {
+        "benchsim.json", "flux.json", "heliostats.csv", "summary.txt", "flux-receiver.csv", "flux-receiver.png",
+        "field.png",
+    }  # fmt: skip
+    plain = json.loads((out / "flux.json").read_text())
+    rows = list(csv.DictReader((out / "heliostats.csv").open()))
+    assert sum(float(r["power_kw"]) for r in rows) == pytest.approx(plain["receivers"][0]["on_it_kw"], rel=1e-4)
+    cells = list(csv.DictReader((out / "flux-receiver.csv").open()))
+    assert max(float(c["flux_kw_m2"]) for c in cells) == pytest.approx(plain["receivers"][0]["peak_kw_m2"], rel=1e-4)
+    assert "not empty" in run("flux", plant, "--at", NOON, "-o", plant).output
+    assert "holds a plant already" in run("new", plant, "--plant").output
+
+
+def test_a_plant_that_is_not_ready_says_why(tmp_path):
+    run("new", tmp_path / "p", "--plant", "--heliostats", 3)
+    file = tmp_path / "p" / "plant.toml"
+    file.write_text(file.read_text().replace("slope_mrad = 1.0", 'slope_mrad = "one"\ncoating = 1'))
+    done = run("check", tmp_path / "p")
+    assert done.exit_code == 1 and "optics.coating: unknown key" in done.output and "optics.slope_mrad" in done.output
+    done = run("flux", tmp_path / "p", "--at", NOON)
+    assert done.exit_code == 1 and done.output.startswith("benchsim: plant.toml: optics.coating")
+
+
+def test_sums_through_a_day_hardly_depend_on_the_step():
+    coarse, fine = (bs.flux(PLANTS / "five", day="2026-06-21", step=s) for s in (1.0, 0.25))
+    assert coarse.total("power").sum() == pytest.approx(fine.total("power").sum(), rel=0.01)
+    assert len(fine.moments) == pytest.approx(4 * len(coarse.moments), abs=3)
+    energy = coarse.maps()[0]
+    assert float(energy.ravel() @ coarse.moments[0].meshes[0].weights) / 1e6 == pytest.approx(
+        coarse.total("power").sum(), rel=1e-9
+    )
+
+
+def test_a_year_is_a_quarter_of_each_of_four_days():
+    year = bs.flux(PLANTS / "five", year=2026, step=3.0)
+    days = [bs.flux(PLANTS / "five", day=f"2026-{d}", step=3.0) for d in ("03-21", "06-21", "09-22", "12-21")]
+    expected = 365.25 / 4 * sum(d.total("power") for d in days)
+    np.testing.assert_allclose(year.total("power"), expected, rtol=1e-12)
+    assert "the year by 2026-03-21, 2026-06-21" in year.summary()
+
+
+def test_what_errors_cost_is_ranked_with_its_sigma():
+    """A heliostat with a large error comes first and loses what it does not catch any more."""
+    result = bs.flux(PLANTS / "five", day="2026-03-21", errors="drawn", seed=2, rank=True, step=2.0)
+    none = bs.flux(PLANTS / "five", day="2026-03-21", errors="none", step=2.0)
+    np.testing.assert_allclose(result.rank.lost, none.total("power") - result.total("power"), atol=1e-9)
+    order = [r["id"] for r in result.as_dict()["rank"]]
+    assert order[0] == f"H{np.argmax(result.rank.lost) + 1}" and "first to be calibrated" in result.summary()
+    assert (result.rank.sigma > 0).all()
+
+
+def test_errors_are_as_diagnosed_where_a_diagnosis_is_named(tmp_path):
+    file = (PLANTS / "five" / "plant.toml").read_text()
+    (tmp_path / "plant.toml").write_text(file.replace("[heliostats]", '[heliostats]\ndiagnosed = "field.csv"'))
+    (tmp_path / "heliostats.csv").write_text((PLANTS / "five" / "heliostats.csv").read_text())
+    (tmp_path / "field.csv").write_text("id,east_m,north_m,up_m,sizes\nH1,0,0,0,IA = 4 ± 0.2 mrad\n")
+    found, stated = (bs.flux(tmp_path, at=NOON, errors=e) for e in (None, "stated"))
+    assert found.errors == "diagnosed" and "as diagnosed" in found.summary()
+    away = np.linalg.norm(found.moments[0].landing, axis=1)
+    assert away[0] > 300 and away[1:].max() < 1e-6 and np.abs(stated.moments[0].landing).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--at", "noon"], "--at: 'noon' is no time"),
+        (["--at", "2026-06-21T01:00"], "below the horizon"),
+        (["--day", "2026-02-30"], "--day, --year: '2026-02-30' is no date"),
+        (["--day", "2026-06-21", "--step", "20"], "--step: 20 h is out of range"),
+        (["--at", NOON, "--errors", "diagnosed"], "heliostats.diagnosed: is missing"),
+        ([], "give one of --at, --day and --year"),
+        (["--at", NOON, "--rank"], "give --day or --year"),
+    ],
+)
+def test_what_cannot_be_computed_is_told_in_a_sentence(words, says, tmp_path):
+    done = run("flux", PLANTS / "five", *words, "-o", tmp_path / "out")
+    assert done.exit_code in (1, 2) and says in " ".join(done.output.replace("│", " ").split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_times_are_the_sites_unless_they_say_their_zone():
+    """Hermosillo keeps UTC−7 all year."""
+    local, utc = (bs.flux(PLANTS / "five", at=t, errors="none") for t in (NOON, "2026-06-21T19:00Z"))
+    assert local.times[0] == utc.times[0] and local.times[0].utcoffset().total_seconds() == -7 * 3600
+    np.testing.assert_array_equal(local.moments[0].sun, utc.moments[0].sun)
+
+
+def test_results_show_themselves():
+    result = bs.flux(PLANTS / "five", at=NOON)
+    assert len(repr(result)) < 200 and result._repr_html_().count("data:image/png;base64,") == 2
+    assert "written" not in result.summary()
