@@ -14,6 +14,7 @@ def made(tmp_path_factory):
     return bs.sample(folder, seed=SEED)
 
 
+@pytest.mark.slow
 def test_the_recording_is_small_and_whole(made):
     assert sum(p.stat().st_size for p in made.folder.iterdir()) < 2e6
     recording = read(made.folder, images=True)
@@ -21,6 +22,7 @@ def test_the_recording_is_small_and_whole(made):
     assert all(len(f.trace.y_mm) > 50 for f in bs.fit(recording))
 
 
+@pytest.mark.slow
 def test_nothing_in_the_folder_or_in_what_is_said_tells_the_answer(made):
     name, *_ = made.concealed
     said = [made.summary(), str(made.as_dict()), *(p.read_text() for p in made.folder.iterdir() if p.suffix != ".jpg")]
@@ -28,6 +30,7 @@ def test_nothing_in_the_folder_or_in_what_is_said_tells_the_answer(made):
     assert not made.recording.effects
 
 
+@pytest.mark.slow
 def test_the_folder_answers_when_asked(made):
     answer = bs.sample(made.folder, answer=True)
     assert (answer.concealed, answer.seed, answer.recording) == (made.concealed, SEED, None)
