@@ -18,6 +18,7 @@ from benchsim.bench.reading import TOML_BYTES, file_hash, read_file
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
+from benchsim.instruments.bench import effects as bench_effects
 from benchsim.intake import metadata, trace_placement
 from benchsim.intake.finding import Finding, Kind
 from benchsim.intake.photo import Photo, read_photo
@@ -27,6 +28,8 @@ from benchsim.jobs.output import label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.plant import files as plants
+
+FILE = "recording.toml"
 
 SETTINGS_TO_HOLD_OUT = 3
 """Fewer settings leave none to test a diagnosis on."""
@@ -40,7 +43,7 @@ class CheckResult(Shown):
     findings: tuple[Finding, ...]
     exposures: int
     looked: bool
-    folder: Path
+    file: Path
 
     @property
     def usable(self) -> bool:
@@ -59,17 +62,18 @@ class CheckResult(Shown):
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
         lines = []
+        there = self.file.parent if self.file.name == FILE else self.file
         for kind, title in ((Kind.missing, "MISSING"), (Kind.inconsistent, "INCONSISTENT"), (Kind.remark, "REMARKS")):
             some = [f for f in self.findings if f.kind is kind]
             if some:
                 lines += [f"{title} ({len(some)})", *(f"  {where}: {says}" for where, says in _folded(some))]
         if self.usable:
             lines.append(f"{self.name}: {self.exposures} exposures, nothing missing and nothing inconsistent")
-            lines.append(f"next: benchsim diagnose {self.folder}")
+            lines.append(f"next: benchsim diagnose {there}")
         else:
             what = "" if self.looked else "; the settings are compared with the pictures when every key can be read"
             lines.append(f"{self.name}: not ready{what}")
-            lines.append(f"next: mend {self.folder}/recording.toml or the pictures, then benchsim check {self.folder}")
+            lines.append(f"next: mend {self.file} or the pictures, then benchsim check {there}")
         return "\n".join(lines)
 
 
@@ -136,17 +140,19 @@ def check(
     if not findings:
         try:
             read_in = read(path, images=True, allow_outside=allow_outside)
+            bench_effects.check(read_in)
         except BenchsimError as error:
+            read_in = None
             where, says = _split(str(error))
             findings.append(Finding(Kind.inconsistent, where, says))
-    file = path / "recording.toml" if path.is_dir() else path
+    file = path / FILE if path.is_dir() else path
     if read_in is None:
         findings += _files(file, allow_outside, progress)
-        result = CheckResult(printable(file.parent.name), tuple(findings), 0, False, file.parent)
+        result = CheckResult(printable(file.parent.name), tuple(findings), 0, False, file)
         inputs = [file]
     else:
         findings += _settings(read_in) + _pictures(read_in, progress)
-        result = CheckResult(label(read_in), tuple(findings), len(read_in.exposures), True, file.parent)
+        result = CheckResult(label(read_in), tuple(findings), len(read_in.exposures), True, file)
         inputs = sources(read_in)
     if output is not None:
         with output_folder(Path(output), "check", inputs) as staging:
@@ -170,7 +176,7 @@ def _keys(path: Path) -> list[Finding]:
 
 def _hints(path: Path) -> dict[str, str]:
     """What the file itself says of a key that is to be filled in, at the first place where it does."""
-    text = read_file(path / "recording.toml" if path.is_dir() else path, TOML_BYTES).decode("utf-8-sig")
+    text = read_file(path / FILE if path.is_dir() else path, TOML_BYTES).decode("utf-8-sig")
     hints: dict[str, str] = {}
     for key, says in re.findall(rf'^\s*(\w+) *= *"{re.escape(UNFILLED)}" *# *(.*)$', text, re.M):
         hints.setdefault(key, printable(says.strip()))

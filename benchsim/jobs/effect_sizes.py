@@ -17,7 +17,7 @@ from benchsim.instruments.bench.prediction import FAR
 Moves = Mapping[str, tuple[Size, str]]
 """Parameter or effect → how much it moves, and where or how that is measured."""
 
-HOW = "rms over all traces, all else as fitted"
+HOW = "rms over all traces, settings held, which may take up most of it"
 
 
 def moves(recording: Recording, problem: Problem, d: Diagnosis) -> Moves:

@@ -100,3 +100,18 @@ def test_a_slip_in_the_marks_names_their_file(recording):
 def test_no_recording_at_all(tmp_path):
     with pytest.raises(BenchsimError, match=r"no recording\.toml"):
         jobs.check(tmp_path)
+
+
+def test_an_effect_that_does_not_exist_is_named_before_it_is_diagnosed(recording):
+    (recording / "recording.toml").open("a").write("\n[effects.pivot-ofset]\ndr = 1.0\n")
+    result = jobs.check(recording)
+    assert not result.usable
+    (found,) = amiss(result)
+    assert found.where == "effects.pivot-ofset" and "nearest name is pivot-offset" in found.says
+
+
+def test_a_file_of_another_name_is_what_is_to_be_mended(recording):
+    (recording / "recording.toml").rename(recording / "mine.toml")
+    spoilt = recording / "mine.toml"
+    spoilt.write_text(spoilt.read_text().replace("wavelength_nm = 632.8", 'wavelength_nm = "?"'))
+    assert jobs.check(spoilt).summary().endswith(f"mend {spoilt} or the pictures, then benchsim check {spoilt}")
