@@ -73,7 +73,8 @@ class PlantCheck(Shown):
             [
                 f"{self.name}: {len(f)} heliostat{'s' if len(f) != 1 else ''}, {f.area.sum() / 1e6:.4g} m² of mirrors, "
                 f"{far.min():.0f} to {far.max():.0f} m from where they aim: {kinds}",
-                f"light spreads by {spread.min():.2f} to {spread.max():.2f} mrad (1 sigma in one direction), of which "
+                f"light spreads by {' to '.join(dict.fromkeys(f'{x:.2f}' for x in (spread.min(), spread.max())))} mrad "
+                "(1 sigma in one direction), of which "
                 f"the sun's shape {1e3 * self.plant.sun.sigma:.2f}",
                 f"errors of the mounts ({f.kinematics}): {', '.join(errors) or 'none are stated'}"
                 + ("; a diagnosis is named" if self.plant.diagnosed else ""),
