@@ -16,6 +16,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
+from benchsim.instruments.mount.axes import reflected
 from benchsim.instruments.mount.records import toward
 from benchsim.plant import sunshape
 from benchsim.plant.layout import radial_stagger
@@ -52,8 +53,7 @@ def main() -> None:
             sun = toward(np.array(2.5), np.array(math.radians(elevation)))
             start = time.process_time()
             n = normals(f, sun, f.errors)
-            ray = 2 * n * (n @ sun)[:, None] - sun
-            lost(f.position, n, f.width, f.height, sun, ray, f.distance)
+            lost(f.position, n, f.width, f.height, sun, reflected(n, sun), f.distance)
             shading = time.process_time() - start
             start = time.process_time()
             m = moment(plant, sun, 900.0, f.errors)

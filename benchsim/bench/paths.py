@@ -9,6 +9,9 @@ from typing import Any
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.reading import file_hash, load_json
 
+FILE = "recording.toml"
+"""Of a recording, in its folder."""
+
 STAMP = "benchsim.json"
 """In every folder that benchsim wrote: the command, hashes of its inputs, versions, options and defaults."""
 

@@ -15,6 +15,7 @@ from scipy.special import erf
 
 from benchsim.fluxes.collado import _LEAST
 from benchsim.fluxes.heliostat import mirror_axes
+from benchsim.instruments.mount.axes import reflected
 
 Array = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ class Beams:
     @property
     def ray(self) -> Array:
         """Directions of the central rays, (n, 3)."""
-        return np.asarray(2 * self.normal * self.cosine[:, None] - self.sun)
+        return reflected(self.normal, self.sun)
 
     @property
     def image_rms(self) -> Array:

@@ -13,7 +13,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import UNFILLED, complaints, read, sources
 from benchsim.bench.model import Recording
 from benchsim.bench.names import printable
-from benchsim.bench.paths import inside
+from benchsim.bench.paths import FILE, inside
 from benchsim.bench.reading import TOML_BYTES, file_hash, read_file
 from benchsim.bench.settings import screen_seats
 from benchsim.bench.toml_file import load_toml
@@ -28,8 +28,6 @@ from benchsim.jobs.output import label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.plant import files as plants
-
-FILE = "recording.toml"
 
 SETTINGS_TO_HOLD_OUT = 3
 """Fewer settings leave none to test a diagnosis on."""

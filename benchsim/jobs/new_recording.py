@@ -15,6 +15,7 @@ from benchsim.bench.files import UNFILLED, complaints
 from benchsim.bench.files import read as read_bench
 from benchsim.bench.marks import read_marks
 from benchsim.bench.names import printable
+from benchsim.bench.paths import FILE
 from benchsim.bench.reading import file_hash
 from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
@@ -25,8 +26,6 @@ from benchsim.intake.photo import SUFFIXES, Photo, read_photo
 from benchsim.jobs import plant_files
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
-
-FILE = "recording.toml"
 
 
 @dataclass(frozen=True, repr=False)

@@ -11,7 +11,7 @@ import numpy as np
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read, shipped, sources
 from benchsim.bench.model import Recording
-from benchsim.bench.paths import STAMP
+from benchsim.bench.paths import FILE, STAMP
 from benchsim.bench.reading import load_json
 from benchsim.jobs.output import output_folder
 from benchsim.jobs.progress import Progress, silent
@@ -122,7 +122,7 @@ def sample(
     with output_folder(Path(folder), "sample", sources(bench), {"seed": seed}, ()) as staging:
         render_recording(six, staging, seed=seed, images=images, conceal=True, progress=progress)
         recording = read(staging, images=True)
-    return replace(result, recording=replace(recording, path=Path(folder) / "recording.toml"))
+    return replace(result, recording=replace(recording, path=Path(folder) / FILE))
 
 
 def _seed_of(folder: Path) -> int:

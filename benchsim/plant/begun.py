@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchsim.bench.writing import write_csv, write_text
 from benchsim.plant.files import NAME
 from benchsim.plant.layout import radial_stagger
+from benchsim.plant.tables import LOCAL
 
 Array = NDArray[np.float64]
 
@@ -108,21 +109,18 @@ def radial(folder: Path, count: int) -> None:
     grown = math.sqrt(max(count, 25) / 100)
     tower, receiver = round(40 * grown, 1), round(2 * grown, 1)
     places = radial_stagger(count, 4e3, 3e3, 30e3 * grown, 1e3 * (tower - 2.5), math.radians(60)) / 1e3
-    write_csv(folder / TABLE, ["id", "east_m", "north_m", "up_m"], _rows(places, 2.5))
-    write_text(folder / NAME, RADIAL.format(count=count, table=TABLE, tower=tower, receiver=receiver))
+    _write(folder, places, 2.5, RADIAL.format(table=TABLE, tower=tower, receiver=receiver))
 
 
 def five(folder: Path) -> None:
     """Write the paper's plant."""
     psi = np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
-    write_csv(
-        folder / TABLE,
-        ["id", "east_m", "north_m", "up_m"],
-        _rows(120 * np.stack([np.sin(psi), np.cos(psi)], axis=1), 0.0),
-    )
-    write_text(folder / NAME, FIVE)
+    _write(folder, 120 * np.stack([np.sin(psi), np.cos(psi)], axis=1), 0.0, FIVE)
 
 
-def _rows(places: Array, up: float) -> list[list[object]]:
+def _write(folder: Path, places: Array, up: float, text: str) -> None:
+    """The table of places (n, 2) and their height [m], and the plant's file."""
     digits = len(str(len(places)))
-    return [[f"H{k:0{digits}d}", round(float(e), 3), round(float(n), 3), up] for k, (e, n) in enumerate(places, 1)]
+    rows = [[f"H{k:0{digits}d}", round(float(e), 3), round(float(n), 3), up] for k, (e, n) in enumerate(places, 1)]
+    write_csv(folder / TABLE, ["id", *LOCAL], rows)
+    write_text(folder / NAME, text)

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from benchsim.bench.complaints import complaint, first
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.paths import inside
+from benchsim.bench.paths import FILE, inside
 from benchsim.bench.toml_file import load_toml
 from benchsim.plant import schema, sunshape, tables
 from benchsim.plant.model import ERRORS, Field, Optics, Plant, Receiver, Site
@@ -44,7 +44,7 @@ def toml_path(path: Path) -> Path:
 def recognises(path: Path) -> bool:
     """Whether a path is a plant's file, or a folder with one and no recording."""
     if path.is_dir():
-        return (path / NAME).exists() and not (path / "recording.toml").exists()
+        return (path / NAME).exists() and not (path / FILE).exists()
     try:
         return path.name == NAME or load_toml(path).get("format") == schema.FORMAT
     except BenchsimError:

@@ -1,4 +1,4 @@
-"""Fields laid out by rule: radial stagger, and the five heliostats of Lara-Cerecedo et al. 2016."""
+"""Fields laid out by rule: radial stagger."""
 
 from __future__ import annotations
 

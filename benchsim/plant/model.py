@@ -155,11 +155,9 @@ class Receiver:
 
     def landing(self, places: ArrayLike, directions: ArrayLike) -> Array:
         """Where rays meet the plane, or the cylinder however high: along and up from the centre [mm], (n, 2)."""
-        p, r = np.asarray(places, float), np.asarray(directions, float)
+        q, r = np.asarray(places, float) - np.array(self.centre), np.asarray(directions, float)
         if self.kind != "cylinder":
-            from_centre = p - np.array(self.centre)
-            return landing(from_centre, r, Target((0.0, 0.0, 0.0), 1.0, 1.0, self.target.normal))
-        q = p - np.array(self.centre)
+            return landing(q, r, Target((0.0, 0.0, 0.0), 1.0, 1.0, self.target.normal))
         a, b = (r[:, :2] ** 2).sum(axis=1), (q[:, :2] * r[:, :2]).sum(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             way = (-b - np.sqrt(b**2 - a * ((q[:, :2] ** 2).sum(axis=1) - self.radius**2))) / a

@@ -179,12 +179,17 @@ def own(path: Path) -> Rows:
         for name, k in places.items()
         if name in RANGES
     }
-    for name in LOCAL if local else GEOGRAPHIC:
-        empty = np.flatnonzero(np.isnan(columns[name]))
-        if len(empty):
-            raise table.fail(body[empty[0]][0], name, "is empty; write where the mirror's centre is")
+    _filled(table, {n: columns[n] for n in (LOCAL if local else GEOGRAPHIC)}, "write where the mirror's centre is")
     receiver = tuple(row[places["receiver"]].strip() for _, row in body) if "receiver" in places else ()
     return Rows(_ids(table, [(line, row[places["id"]]) for line, row in body]), columns, receiver, (path,))
+
+
+def _filled(table: Cells, columns: Mapping[str, Array], mend: str) -> None:
+    """Refuse an empty cell of these columns, which begin below the header."""
+    for name, values in columns.items():
+        empty = np.flatnonzero(np.isnan(values))
+        if len(empty):
+            raise table.fail(table.rows[1 + empty[0]][0], name, f"is empty; {mend}")
 
 
 def _ids(table: Cells, found: Sequence[tuple[int, str]]) -> tuple[str, ...]:
@@ -259,10 +264,7 @@ def diagnosed_table(path: Path) -> tuple[Rows, dict[str, str]]:
     body = table.rows[1:]
     ids = _ids(table, [(line, row[places["id"]]) for line, row in body])
     columns = {n: np.array([table.number(line, n, row[places[n]], *RANGES[n]) for line, row in body]) for n in LOCAL}
-    for name in LOCAL:
-        empty = np.flatnonzero(np.isnan(columns[name]))
-        if len(empty):
-            raise table.fail(body[empty[0]][0], name, "is empty; make the table again with 'benchsim field'")
+    _filled(table, columns, "make the table again with 'benchsim field'")
     sizes = {i: row[places["sizes"]] for i, (_, row) in zip(ids, body, strict=True)}
     return Rows(ids, columns, files=(path,), kinematics="east-west"), sizes
 
