@@ -24,6 +24,7 @@ PAGES = sorted(
     if "gathered" not in p.parts
 )
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+CONTENTS = (ROOT / "docs" / "index.md").read_text(encoding="utf-8").splitlines()
 
 
 def named(path):
@@ -53,8 +54,11 @@ def test_commands_that_a_page_names_are_there(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_what_a_page_links_to_is_there(page):
+    """Pages that the manual gathers are there once it is built; that they are gathered is the contents' to say."""
     for to in LINK.findall(page.read_text(encoding="utf-8")):
-        if not to.startswith(("http", "mailto", "#")):
+        if to.startswith("gathered/"):
+            assert to.partition("#")[0].removesuffix(".md") in CONTENTS, to
+        elif not to.startswith(("http", "mailto", "#")):
             assert (page.parent / to.partition("#")[0]).exists(), to
 
 
