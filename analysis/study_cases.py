@@ -18,7 +18,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.fields import Field
 from benchsim.bench.model import Recording
 from benchsim.diagnosis import evidence
-from benchsim.diagnosis.degeneracy import CLOSE
+from benchsim.diagnosis.levels import APART
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.trial.draws import (
@@ -157,7 +157,7 @@ def visible(truth: Truth, sight: Sight, values: Mapping[str, float], true: Probl
     more: dict[str, Any] = {}
     if truth.effects:
         rival, single = sight.rival(values, tuple(truth.effects)), sight.alone(values, tuple(truth.effects))
-        if min(snr.values()) >= SEEN and rival[1] >= CLOSE:
+        if min(snr.values()) >= SEEN and rival[1] >= APART:
             more["rival_refitted"] = rival_refitted(sight, values, tuple(truth.effects))
     at_cap = {name: reach(sight, catalogue[name], own) for name, own in truth.effects.items()}
     return {"snr": snr, "refitted": anew, "reach": at_cap, "rival": rival, "alone": single, **more}

@@ -16,7 +16,7 @@ something small is always left, none is, and it goes on adding what fits. The di
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,22 +26,15 @@ from scipy.linalg import cho_solve
 from benchsim.diagnosis import noise as noises
 from benchsim.diagnosis import screen
 from benchsim.diagnosis.degeneracy import estimate, space
-from benchsim.diagnosis.discrepancy import Attached, weigh
+from benchsim.diagnosis.discrepancy import Attached, absorb, weigh
 from benchsim.diagnosis.functions import Prepared, kernel_root, prepare, smooth_functions, whitened
 from benchsim.diagnosis.hypothesis import Effects, Fit, Naming, Noise
+from benchsim.diagnosis.levels import AS_WELL
 from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, only, precision, raised, whiten
-from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.problem import Attachment, Problem
 from benchsim.diagnosis.result import HeldOut
 
 Array = NDArray[np.float64]
-
-BETTER = 3.0
-"""Sigma by which a model has to predict better to be said to."""
-
-AS_WELL = 1.0
-"""Sigma within which a simpler model predicts as well: a needless amplitude passes it in one of six cases, one that
-stands out by 8 sigma fails it in one of four hundred."""
-
 
 FOLDS = 6
 FEWEST = 3
@@ -296,32 +289,60 @@ def _of(problem: Problem, many: Sequence[Fold], about: Sequence[Linear], effects
     return Model(tuple(about), tuple(r for r, _ in found), tuple(scale for _, scale in found))
 
 
-def function(problem: Problem, many: Sequence[Fold], laid: Attached) -> Model:
-    """A function without a name, alone, fitted to the other settings."""
-    one = replace(problem, attachments=(laid.attachment,))
-    residual, scales = [], []
+def about_folds(problem: Problem, many: Sequence[Fold], fit: Fit) -> Model:
+    """`named`, about the point that the folds were given."""
+    return _of(problem, many, [fold.linear for fold in many], fit.effects)
+
+
+Shape = Callable[[Attachment, Array, Linear, float], Array]
+"""Coefficients of a function from its whitened basis, what it is laid on, and the setting scale."""
+
+
+def function(problem: Problem, many: Sequence[Fold], laid: Attached, on: Fit, shape: Shape | None = None) -> Model:
+    """A function without a name beside a hypothesis' amplitudes, all as the other settings show them.
+
+    With ``shape`` its coefficients are that's, not those of the Gaussian process.
+    """
+    attachment = laid.attachment
+    one = replace(problem, attachments=(attachment,))
     prepared = prepare(one, many[0].naming.noise.covariance) if many else ()
+    about, residual, scales = [], [], []
     for fold in many:
-        keep, plain = ~fold.test, replace(fold.linear, effect=fold.linear.effect[:, :0], names=())
-        seen = whitened(one, prepared, fold.naming.noise.covariance, keep)
-        fitted = weigh(one, fold.naming, seen, keep=keep, linear=plain, log_evidence=0.0)[0]
-        white, _ = whiten(problem, fold.naming.noise.covariance, laid.attachment.basis)
-        residual.append(fold.linear.residual - white @ fitted.coefficients)
+        keep, covariance = ~fold.test, fold.naming.noise.covariance
+        places = [fold.linear.names.index(n) for n in on.linear.names if n in fold.linear.names]
+        own = replace(fold.linear, effect=fold.linear.effect[:, places], names=tuple(on.linear.names[: len(places)]))
+        seen = whitened(one, prepared, covariance, keep)
+        fitted = weigh(one, fold.naming, seen, keep=keep, linear=own, log_evidence=0.0)[0]
+        white, _ = whiten(problem, covariance, attachment.basis)
+        base, p = absorb(problem, own), own.nuisance.shape[1]
+        train = only(base, keep)
+        found = fitted.coefficients if shape is None else shape(attachment, white[keep], train, fitted.scale)
+        left = own.residual - white @ found
+        mean, _ = nuisance_posterior(train, left[keep], fitted.scale)
+        about.append(own)
+        residual.append(left - base.nuisance[:, p:] @ mean[p:])
         scales.append(fitted.scale)
-    return Model(tuple(f.linear for f in many), tuple(residual), tuple(scales))
+    return Model(tuple(about), tuple(residual), tuple(scales))
 
 
 def gain(many: Sequence[Fold], before: Model, after: Model) -> tuple[float, float]:
     """By how much left-out χ² falls from one model to another, and its sigma: that of the noise, or, if it is larger,
     as the folds scatter; what neither model has adds to that and is in no noise."""
-    each, power = [], 0.0
-    for k, fold in enumerate(many):
-        before_it = excess(before.about[k], before.residual[k], fold.test, before.scale[k])
-        each.append(before_it - excess(after.about[k], after.residual[k], fold.test, after.scale[k]))
-        shift = before.residual[k] - after.residual[k]
-        power += excess(after.about[k], shift, fold.test, after.scale[k]) + int(fold.test.sum())
+    first, second, power = by_fold(many, before, after)
+    each = first - second
     scatter = float(np.sqrt(len(each)) * np.std(each, ddof=1))
-    return float(np.sum(each)), max(2.0 * float(np.sqrt(max(power, 0.0))), scatter)
+    return float(each.sum()), max(2.0 * float(np.sqrt(max(power.sum(), 0.0))), scatter)
+
+
+def by_fold(many: Sequence[Fold], before: Model, after: Model) -> Array:
+    """Left-out excess χ² of two models, and the squared norm of their difference there, of every fold, (3, folds)."""
+    out = np.zeros((3, len(many)))
+    for k, fold in enumerate(many):
+        shift = before.residual[k] - after.residual[k]
+        out[0, k] = excess(before.about[k], before.residual[k], fold.test, before.scale[k])
+        out[1, k] = excess(after.about[k], after.residual[k], fold.test, after.scale[k])
+        out[2, k] = excess(after.about[k], shift, fold.test, after.scale[k]) + int(fold.test.sum())
+    return out
 
 
 def simplest(problem: Problem, naming: Naming, many: Sequence[Fold], fits: Sequence[Fit]) -> Fit:

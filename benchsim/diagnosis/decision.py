@@ -12,6 +12,7 @@ from benchsim.diagnosis import (
     degeneracy,
     discrepancy,
     forward,
+    levels,
     location,
     remainder,
     settings,
@@ -24,14 +25,11 @@ from benchsim.diagnosis.functions import Prepared, prepare
 from benchsim.diagnosis.hypothesis import Effects, Fit, Naming
 from benchsim.diagnosis.linear import factors, nuisance_posterior, raised, whiten
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.result import Found, Location
+from benchsim.diagnosis.result import CONFIDENCES, Found, Location
 from benchsim.diagnosis.shapes import widened
 from benchsim.diagnosis.verdict import Findings, Further
 
 Array = NDArray[np.float64]
-
-REFINED = 4
-"""Attachments that are weighed about their own nuisances."""
 
 CONCERN = 12.0
 """ln Z behind the best at which an attachment is left as it is."""
@@ -66,7 +64,7 @@ def judge(problem: Problem, naming: Naming) -> Judged:
     free = _weigh(problem, naming, prepared, naming.null, best.fit)
     more = _weigh(problem, naming, prepared, best.fit, best.fit) if best.fit.effects else free
     gain = more[0].log_evidence - best.fit.log_evidence if more else 0.0
-    beside = gain > degeneracy.MISSING and not problem.judged_forward
+    beside = gain > levels.MISSING and not problem.judged_forward
     if beside:
         # What has no name is there besides: which names are, is asked beside it.
         first, notes = best, []
@@ -142,7 +140,7 @@ def _written(
     """
     assert findings.claim is not None
     lone, opened, effects = findings.claim.lone, findings.claim.classes, best.fit.effects
-    sure = {e for e in lone if verdict.confidence(e, best.hypotheses.probability([(e,)]), findings) in verdict.CERTAIN}
+    sure = {e for e in lone if verdict.confidence(e, best.hypotheses.probability([(e,)]), findings) in CONFIDENCES[:2]}
     others = [
         f
         for f in naming.fits
@@ -198,8 +196,8 @@ def _predicted(problem: Problem, naming: Naming, many: tuple[Fold, ...], finding
     )
     won, sigma = cross_validation.gain(many, as_stated, with_names)
     outdone = None
-    if findings.free and findings.margin < verdict.PROBABLE_MARGIN:
-        alone = cross_validation.function(problem, many, findings.free[0])
+    if findings.free and findings.margin < 0:
+        alone = cross_validation.function(problem, many, findings.free[0], naming.null)
         lost, spread = cross_validation.gain(many, with_names, alone)
         outdone = lost / max(spread, 1e-12)
     return replace(findings, predicted=won / max(sigma, 1e-12), outdone=outdone)
@@ -250,10 +248,10 @@ def _besides(
     spoken = {*lone, settings.NAME} | {e for members in opened for m in members for e in m}
     others = best.hypotheses.present(e for e in best.space.index if e not in spoken)
     more = max(others, key=lambda e: others[e], default="")
-    if not more or others[more] < degeneracy.SUSPECTED:
+    if not more or others[more] < levels.SUSPECTED:
         return ()
     group = next((g for g in best.claim.classes if (more,) in g), ((more,),)) if best.claim else ((more,),)
-    return ((*group[: degeneracy.MEMBERS - 1], ()),)
+    return ((*group[: levels.MEMBERS - 1], ()),)
 
 
 def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...], ...]:
@@ -261,15 +259,15 @@ def _doubted(problem: Problem, hypotheses: Weighed) -> tuple[tuple[Effects, ...]
     suspects: list[Effects] = []
     p = hypotheses.present(e.name for e in problem.catalogue)
     name = max(p, key=lambda e: p[e], default="")
-    if name and p[name] >= degeneracy.SUSPECTED:
+    if name and p[name] >= levels.SUSPECTED:
         suspects.append((name,))
-    if problem.stated and hypotheses.probability([(settings.NAME,)]) >= verdict.UNSURE:
+    if problem.stated and hypotheses.probability([(settings.NAME,)]) >= levels.UNSURE:
         suspects.append((settings.NAME,))
     z = hypotheses.log_evidence
     least = min((z.get(h, np.inf) for h in suspects), default=np.inf)
     # What is more probable than an alternative is one too.
     others = [h for h in z if len(h) == 1 and h not in suspects and z[h] > least]
-    listed = sorted([(), *suspects, *others], key=lambda h: -z.get(h, -np.inf))[: degeneracy.MEMBERS]
+    listed = sorted([(), *suspects, *others], key=lambda h: -z.get(h, -np.inf))[: levels.MEMBERS]
     return (tuple(listed),) if suspects else ()
 
 
@@ -307,7 +305,7 @@ def _beside(problem: Problem, naming: Naming, prepared: tuple[Prepared, ...], na
     # What comes first has to be checked before anything rests on it, with what could stand in its place, and what says
     # less before more is said: its settings are further from where they belong beside a function.
     while (top := max(fits, key=best)) not in checked:
-        near = [e for e in fits if (set(e) <= set(top) or best(top) - best(e) < degeneracy.COST) and e not in checked]
+        near = [e for e in fits if (set(e) <= set(top) or best(top) - best(e) < levels.COST) and e not in checked]
         for key in [key for key in laid if key[0] in near]:
             laid[key] = replace(discrepancy.refine(problem, naming, some, laid[key], fits[key[0]]), root=nothing)
         checked.update(near)
@@ -332,10 +330,10 @@ def _weigh(
         first = laid[order[0]].log_evidence
         # What explains no more than nothing does, or than names do, need not be known to a digit.
         top = [n for n in order if n not in seen and laid[n].log_evidence > max(first, rival) - CONCERN]
-        if not top or (len(seen) >= REFINED and order[0] in seen):
+        if not top or (len(seen) >= levels.MEMBERS and order[0] in seen):
             break
         seen.add(top[0])
-        worth = rival - verdict.NAMED_MARGIN
+        worth = rival - levels.MARGIN
         laid[top[0]] = discrepancy.refine(problem, naming, prepared, laid[top[0]], on, worth)
     return tuple(sorted(laid.values(), key=lambda a: -a.log_evidence))
 
@@ -361,7 +359,7 @@ def _apart(
             continue
         other = tuple(p for p in prepared if p.attachment.element != element[e])
         laid = discrepancy.weigh(problem, naming, other, rest)
-        if laid and max(alone, both) - laid[0].log_evidence < verdict.NAMED_MARGIN:
+        if laid and max(alone, both) - laid[0].log_evidence < levels.MARGIN:
             laid = _weigh(problem, naming, other, rest, best.fit)
         if laid:
             out[e] = verdict.lead(alone, both, laid[0].log_evidence, rest.log_evidence)

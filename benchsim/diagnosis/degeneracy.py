@@ -3,7 +3,7 @@
 Two hypotheses are as far apart as what is left of the one's signal once the other's amplitudes, within their caps,
 and the nuisances are refitted to it, in the noise: a whitened norm in sigma. All of it follows from the Gram matrix
 of the whole catalogue in the marginal space of `linear`. No method names right more often than Φ(d/2) at distance d,
-so nothing closer than `CLOSE` is told apart, however probable it is.
+so nothing closer than `levels.APART` is told apart, however probable it is.
 """
 
 from __future__ import annotations
@@ -18,28 +18,11 @@ from scipy.optimize import lsq_linear
 
 from benchsim.diagnosis import settings
 from benchsim.diagnosis.hypothesis import Effects, Fit, Naming
+from benchsim.diagnosis.levels import APART, COST, LIKELY, MEMBERS, MISSING, SUSPECTED
 from benchsim.diagnosis.linear import Linear, marginal
 from benchsim.diagnosis.problem import Parameter, Problem
 
 Array = NDArray[np.float64]
-
-CLOSE = 3.0
-"""Separation in sigma below which hypotheses form a class."""
-
-COST = 0.5 * CLOSE**2
-"""What that separation costs in ln Z."""
-
-SURE, LIKELY = 0.99, 0.9
-"""Probabilities at which an effect is named, and is probable."""
-
-MISSING = float(np.log(SURE / (1 - SURE)))
-"""Δ ln Z at which something shows that something is missing."""
-
-SUSPECTED = 1 / 3
-"""Probability of an effect that is not claimed from which on it is an open alternative to nothing."""
-
-MEMBERS = 4
-"""Most members of a class."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +190,7 @@ def _close(hypotheses: Weighed, best: Effects, other: Effects, signal: Array, wi
     """
     if (settings.NAME in best) != (settings.NAME in other):
         return hypotheses.log_evidence[best] - hypotheses.log_evidence[other] < COST
-    return separation(within, signal, other) < CLOSE
+    return separation(within, signal, other) < APART
 
 
 @dataclass(frozen=True)
@@ -250,7 +233,7 @@ class Best:
 def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> Claim:
     """Compare the best hypothesis with every other set that was weighed.
 
-    A rival within `CLOSE` counts, however improbable its prior makes it: a rarer explanation that the data cannot
+    A rival within `APART` counts, however improbable its prior makes it: a rarer explanation that the data cannot
     refute is still open. So does one whose refit comes as near in ln Z, whatever the distance about the best's point
     says: what goes with a square looks farther from there than it is. Where the best is not likely by itself, what
     makes it so counts too.
@@ -270,7 +253,7 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
     mine, own = frozenset(best), z.get(best, max(z.values()))
     others = [h for h in z if h and not (mine <= set(h) or set(h) <= mine)]
     apart = {h: separation(within, signal, h) for h in others if (settings.NAME in h) == (settings.NAME in mine)}
-    near = {h for h in others if h in apart and apart[h] < CLOSE}
+    near = {h for h in others if h in apart and apart[h] < APART}
     near |= {h for h in others if h in hypotheses.refitted and own - z[h] < COST}
     if hypotheses.probability([best]) < LIKELY:
         near |= {h for h in others if own - z[h] < MISSING}
@@ -294,7 +277,7 @@ def _less(effects: Effects, dropped: frozenset[str]) -> Effects:
 def likely(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> Effects:
     """The best hypothesis without the effects that are not likely to be there, nor anything close in their place.
 
-    An effect stays where the sets that hold it, or something within `CLOSE` in its place, outweigh the set without it
+    An effect stays where the sets that hold it, or something within `APART` in its place, outweigh the set without it
     by the odds of `LIKELY`. Those that matter least are asked first.
     """
     z = hypotheses.log_evidence

@@ -14,6 +14,7 @@ from benchsim.diagnosis import (
     degeneracy,
     detection_limits,
     discrepancy,
+    levels,
     location,
     new_law,
     next_experiment,
@@ -33,9 +34,6 @@ from benchsim.diagnosis.verdict import Findings
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
-
-LOUD = 1.3
-"""Errors over stated ones from which on a remark is due."""
 
 
 def diagnose(problem: Problem, progress: Progress | None = None) -> Diagnosis:
@@ -153,7 +151,7 @@ def _open(
         made.append(Class(members, _together(best, members, rest), ranked[0] if ranked else None))
     if unnamed:
         top = sorted((h for h in best.hypotheses.log_evidence.items() if h[0]), key=lambda h: -h[1])
-        everyone = _alive(best, [h for h, _ in top[: degeneracy.MEMBERS]])
+        everyone = _alive(best, [h for h, _ in top[: levels.MEMBERS]])
     elif not groups:
         own = best.fit.effects
         everyone = _alive(best, (own, tuple(e for e in own if e not in doubt)))
@@ -223,7 +221,7 @@ def _remarks(problem: Problem, naming: Naming, findings: Findings) -> list[str]:
     for kind in np.unique(problem.kind):
         mine = problem.kind == kind
         factor = float(np.sqrt(np.mean(seen[mine] / stated[mine])))
-        if factor > LOUD:
+        if factor > levels.FURTHER_OFF:
             length = naming.noise.correlation.get(str(kind), 0.0)
             shared = f", correlated over {length:.2g}" if length > 0 else ""
             out.append(

@@ -16,18 +16,15 @@ from benchsim.diagnosis.discrepancy import absorb
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.fitting import misses
 from benchsim.diagnosis.hypothesis import Context, Effects, Hypothesis, Point, Solved
+from benchsim.diagnosis.levels import APART, FURTHER_OFF
 from benchsim.diagnosis.linear import Linear
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.screen import Catalogue
 
 Array = NDArray[np.float64]
 
-BENT = 1.3
-"""Mean setting scale from which on a fit's settings are taken to hide an effect: then every effect is tried beside it,
-and from the stated settings. It costs time only; a tilt's settings hid a coma of 9 sigma at 1.37."""
-
-SQUARE, NOTICED = 0.25, 3.0
-"""What bends the data: at half a prior sigma its square shows by a quarter as much as itself, and by 3 sigma."""
+SQUARE = 0.25
+"""What bends the data: at half a prior sigma its square shows by a quarter as much as itself, and by `levels.APART`."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +90,7 @@ def begun(s: Search) -> dict[Effects, Begun]:
 
 def strayed(context: Context, solved: Solved) -> bool:
     """Whether a fit's settings were bent, so that what they hide shows in no linearisation about it; or it misses."""
-    return misses(solved) or settings.size(context.scales, solved.fit.log_scales)[0] > BENT
+    return misses(solved) or settings.size(context.scales, solved.fit.log_scales)[0] > FURTHER_OFF
 
 
 def scale_of(s: Search, solved: Solved) -> int:
@@ -138,7 +135,7 @@ def _bends(s: Search, name: str) -> bool:
     both = np.column_stack([s.white[:, at] * half, 0.5 * s.bends[:, at] * half**2])
     left = np.sqrt(np.diag(linear.marginal(lin, both, s.done[()].fit.setting_scale).gram))
     first, second = left[: len(at)], left[len(at) :]
-    return bool(((second > SQUARE * first) & (second > NOTICED)).any())
+    return bool(((second > SQUARE * first) & (second > APART)).any())
 
 
 def whole(problem: Problem, catalogue: Catalogue, white: Array, solved: Solved) -> Linear:

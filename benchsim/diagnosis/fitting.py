@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 from benchsim.diagnosis import evidence, settings
 from benchsim.diagnosis.hypothesis import Context, Effects, Fit, Hypothesis, Point, Solved, span, values
 from benchsim.diagnosis.least_squares import Points, Solution, Task, minimise
+from benchsim.diagnosis.levels import MARGIN
 from benchsim.diagnosis.linear import Linear, posterior
 
 Array = NDArray[np.float64]
@@ -25,11 +26,6 @@ Array = NDArray[np.float64]
 STILL = 0.1
 """Gain in ln posterior that may still be promised where a fit is finished. Names are given at margins of 3 and more;
 less costs steps."""
-
-OWED = 3.0
-"""Gain that a fit which finds no step may still promise, if names are to rest on it: the evidence counts it as had.
-Predictions have kinks of some thousandths of a sigma, which promise what cannot be had, and data that jump, as where
-the least tilt puts a window into the light, promise what comes after the jump."""
 
 STEPS, SCOUTED = 40, 15
 """Most steps of a fit, and of one without exact derivatives, which is to show whether its hypothesis matters."""
@@ -325,7 +321,9 @@ def _solved(context: Context, run: _Run, log_prior: float) -> Solved:
         own_covariance,
         float(context.scales[run.hyper[0]]),
         float(end.residual @ end.residual),
-        end.converged or (end.exact and (end.promise < OWED or not h.names)),
+        # Kinks of the prediction, of some thousandths of a sigma, promise what cannot be had, and data that jump, as
+        # where the least tilt puts a window into the light, what comes after: the evidence counts it as had.
+        end.converged or (end.exact and (end.promise < MARGIN or not h.names)),
         lin,
         np.asarray(logsumexp(cells, axis=1)) + offset,
     )

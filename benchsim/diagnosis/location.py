@@ -22,17 +22,13 @@ from benchsim.diagnosis import degeneracy, discrepancy, evidence, remainder, set
 from benchsim.diagnosis.degeneracy import Best, Weighed
 from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.hypothesis import Fit, Naming
+from benchsim.diagnosis.levels import ALARM, CLAIM, LEFT
 from benchsim.diagnosis.linear import Linear, marginal, precision, predict_all, whiten
 from benchsim.diagnosis.problem import Attachment, Problem
-from benchsim.diagnosis.remainder import ALARM
 from benchsim.diagnosis.result import Location, Stretch
-from benchsim.diagnosis.verdict import LEFT, Findings
+from benchsim.diagnosis.verdict import Findings
 
 Array = NDArray[np.float64]
-
-CLAIM = 8.0
-"""Δ ln Z over every other element at which one is claimed: how long and how rough functions are is only guessed, which
-makes some of it."""
 
 _SHORTEST = 3
 

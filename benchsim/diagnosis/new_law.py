@@ -8,31 +8,27 @@ to what it cannot describe, nothing else shows it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.diagnosis.cross_validation import Fold, best_scale, excess
-from benchsim.diagnosis.discrepancy import Attached, absorb, weigh
-from benchsim.diagnosis.functions import prepare, whitened
+from benchsim.diagnosis.cross_validation import Fold, about_folds, by_fold, function
+from benchsim.diagnosis.discrepancy import Attached, absorb
 from benchsim.diagnosis.hypothesis import Fit, Naming
-from benchsim.diagnosis.linear import Linear, marginal, nuisance_posterior, only, whiten
+from benchsim.diagnosis.levels import APART, AS_WELL, MARGIN
+from benchsim.diagnosis.linear import Linear, marginal, whiten
 from benchsim.diagnosis.problem import Attachment, Problem
 from benchsim.diagnosis.result import Law
 
 Array = NDArray[np.float64]
 
 DEGREE, TERMS = 4, 4
-WORTH = 3.0
-"""Δ ln Z that a term must bring."""
+"""Largest degree of a monomial, and most of them: what a person can still read as a law."""
 
-LEAST_GAIN, SIGMAS = 0.5, 3.0
-"""What a law must take away of the left-out excess χ², and by how many sigma that must exceed nothing."""
-
-_SIMPLER = 0.03
-"""Gain that monomials may lose against the free function and still be preferred."""
+LEAST_GAIN = 0.5
+"""Part of the left-out excess χ² that a law must take away, and do so by `levels.APART`."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +93,7 @@ def select(attachment: Attachment, white: Array, base: Linear, scale: float) -> 
         if not trials:
             break
         better, k = max(trials)
-        if better < value + WORTH:
+        if better < value + MARGIN:
             break
         chosen, value = [*chosen, k], better
     if not chosen:
@@ -115,20 +111,20 @@ class Gain:
 
     @property
     def holds(self) -> bool:
-        return self.value >= LEAST_GAIN and self.value > SIGMAS * self.sigma
+        return self.value >= LEAST_GAIN and self.value > APART * self.sigma
 
 
-def gain(parts: Sequence[tuple[float, float, float]], data: int) -> Gain:
-    """Of excess before, after, and 4 |prediction|² of every fold.
+def gain(folds: Array, data: int) -> Gain:
+    """Of the excess before and after and the squared norm of what was predicted, of every fold (3, folds).
 
     Two scatters are known: of the noise, through the product of prediction and residual, and of the folds among
     themselves (jackknife). The larger is stated.
     """
-    before, after, power = np.array(parts, float).T
+    before, after, power = folds
     if before.sum() <= 0:
         return Gain(float("-inf"), float("inf"))
     value = 1 - after.sum() / before.sum()
-    noise = np.sqrt(power.sum() + (1 - value) ** 2 * 2 * data) / before.sum()
+    noise = np.sqrt(4 * power.sum() + (1 - value) ** 2 * 2 * data) / before.sum()
     others = [(before.sum() - b, after.sum() - a) for b, a in zip(before, after, strict=True)]
     left = np.array([1 - a / b if b > 0 else 0.0 for b, a in others])
     jackknife = np.sqrt((len(left) - 1) / len(left) * ((left - left.mean()) ** 2).sum())
@@ -158,27 +154,12 @@ def law(problem: Problem, naming: Naming, on: Fit, laid: Attached, many: Sequenc
     if not many:
         return None, "No law is published: with fewer than three settings it could not be tested on one left out."
     attachment = laid.attachment
-    one = prepare(replace(problem, attachments=(attachment,)), naming.noise.covariance)
-    parts: dict[bool, list[tuple[float, float, float]]] = {True: [], False: []}
-    for fold in many:
-        own = _own(fold.linear, on)
-        base, train_on = absorb(problem, own), ~fold.test
-        white, _ = whiten(problem, fold.naming.noise.covariance, attachment.basis)
-        seen = whitened(problem, one, fold.naming.noise.covariance, train_on)
-        fitted = weigh(problem, fold.naming, seen, keep=train_on, linear=own, log_evidence=0.0)[0]
-        train = only(base, train_on)
-        scale = best_scale(train, fold.naming, white[train_on] @ fitted.root)
-        terms, amplitudes = select(attachment, white[train_on], train, scale)
-        named = _named(base, own, train_on, scale, np.zeros(len(base.residual)))
-        before = excess(own, base.residual - named, fold.test, scale)
-        for sparse, c in ((True, at_knots(attachment, terms) @ amplitudes), (False, fitted.coefficients)):
-            shift = white @ c
-            shift = shift + _named(base, own, train_on, scale, shift) - named
-            after = excess(own, base.residual - named - shift, fold.test, scale)
-            power = excess(own, shift, fold.test, scale) + int(fold.test.sum())
-            parts[sparse].append((before, after, 4 * power))
-    gains = {sparse: gain(p, len(problem.data)) for sparse, p in parts.items()}
-    sparse = gains[True].holds and gains[True].value >= gains[False].value - _SIMPLER
+    before = about_folds(problem, many, on)
+    gains = {
+        sparse: gain(by_fold(many, before, function(problem, many, laid, on, shape)), len(problem.data))
+        for sparse, shape in ((True, _monomials), (False, None))
+    }
+    sparse = gains[True].holds and gains[False].value - gains[True].value <= AS_WELL * gains[True].sigma
     best = gains[sparse]
     if not best.holds:
         return None, (
@@ -203,20 +184,10 @@ def law(problem: Problem, naming: Naming, on: Fit, laid: Attached, many: Sequenc
     ), ""
 
 
-def _own(linear: Linear, on: Fit) -> Linear:
-    """A linearisation with the amplitudes of one hypothesis alone."""
-    places = [linear.names.index(n) for n in on.linear.names if n in linear.names]
-    return replace(linear, effect=linear.effect[:, places], names=tuple(linear.names[i] for i in places))
-
-
-def _named(base: Linear, own: Linear, keep: NDArray[np.bool_], scale: float, shift: Array) -> Array:
-    """What the hypothesis' own amplitudes, learnt from some of the data once a function is taken off, do to all."""
-    p = own.nuisance.shape[1]
-    if base.nuisance.shape[1] == p:
-        return np.zeros(len(shift))
-    mean, _ = nuisance_posterior(only(base, keep), (base.residual - shift)[keep], scale)
-    shift_of: Array = base.nuisance[:, p:] @ mean[p:]
-    return shift_of
+def _monomials(attachment: Attachment, white: Array, base: Linear, scale: float) -> Array:
+    """Coefficients of the sparse law, by some of the data."""
+    terms, amplitudes = select(attachment, white, base, scale)
+    return at_knots(attachment, terms) @ amplitudes
 
 
 def printed(attachment: Attachment, terms: Sequence[Monomial], amplitudes: Array) -> dict[str, float]:

@@ -21,19 +21,14 @@ from scipy.stats import chi2, f
 from benchsim.diagnosis.discrepancy import Attached, absorb, with_columns
 from benchsim.diagnosis.functions import smooth_functions
 from benchsim.diagnosis.hypothesis import Fit, Naming
+from benchsim.diagnosis.levels import ALARM, APART
 from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, raised, whiten
 from benchsim.diagnosis.problem import Problem
 
 Array = NDArray[np.float64]
 
-ALARM = 0.01
-"""Rate of false alarms at which something is said to be left, and of stretches of a trace where it lies."""
-
 MODES = 12
 """Of a family that are looked at by themselves; all together are looked at besides, for what is not so smooth."""
-
-TOUCHED = 9.0
-"""Fall of a family's χ² from which on names are taken to touch it: 3 sigma."""
 
 _HIDDEN = 1e-6
 
@@ -100,7 +95,7 @@ class Remainder:
         parts = [0.0]
         for name in self.alarming:
             removed = before.families[name].statistic - self.families[name].statistic
-            if removed > TOUCHED:
+            if removed > APART**2:
                 parts.append(max(self.families[name].excess, 0.0) / removed)
         return max(parts)
 

@@ -18,16 +18,20 @@ from benchsim.diagnosis import degeneracy, evidence, linear
 from benchsim.diagnosis.explored import Begun, Search, log_z_about, strayed, whole
 from benchsim.diagnosis.fitting import RENEWALS, Start, fitted, misses
 from benchsim.diagnosis.hypothesis import LARGEST, Context, Effects, Hypothesis, Solved
+from benchsim.diagnosis.levels import APART, COST, MEMBERS
 from benchsim.diagnosis.screen import Catalogue
 from benchsim.diagnosis.starts import at_fit, places, starts
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-MATTERS, IDLE = 6.0, 1.5
-"""ln Z behind the best from which on what was only weighed is left at that, and what was fitted without exact
-derivatives (what may be a member of a class is nearer); and the same for what was weighed about a good
-fit of fewer effects: that linearisation is the right one unless what is added is large, and then it is not behind."""
+IDLE = 1.5
+"""ln Z by which what was weighed about a good fit of fewer effects may be behind the best and yet matter: that
+linearisation is the right one unless what is added is large, and then it is not behind."""
+
+MATTERS = COST + IDLE
+"""The same of what was weighed elsewhere, or fitted without exact derivatives: what may be a member of a class is
+nearer by as much."""
 
 AT_ONCE, ROUNDS = 8, 8
 """Sets taken up for what they were weighed, and how often, at most: what is tried at all."""
@@ -35,11 +39,11 @@ AT_ONCE, ROUNDS = 8, 8
 TOGETHER = 10
 """Sets whose fits step together: more take memory and save little."""
 
-NEARBY, RIVALS = 6.0, 3
+NEARBY, RIVALS = 2 * APART, MEMBERS - 1
 """Separation in sigma up to which sets with one effect exchanged for another are fitted beside the best, and how many:
 where the data bend, the right one of two that look alike may have been weighed wrong."""
 
-SEEN = 6.0
+SEEN = 2 * APART
 """Sigma from 0, at its place, from which on Laplace's method holds for an effect with a place. Of the best of many
 places chance makes four."""
 

@@ -14,29 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchsim.diagnosis import settings
-from benchsim.diagnosis.cross_validation import BETTER
-from benchsim.diagnosis.degeneracy import LIKELY, MISSING, SURE, Claim, Weighed
+from benchsim.diagnosis.degeneracy import Claim, Weighed
 from benchsim.diagnosis.discrepancy import Attached
 from benchsim.diagnosis.hypothesis import Fit
+from benchsim.diagnosis.levels import APART, LEFT, LIKELY, MARGIN, MISSING, PATCH, SURE
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.remainder import Remainder
-from benchsim.diagnosis.result import CONFIDENCES, Found, Location, Size
-
-NAMED_MARGIN, PROBABLE_MARGIN = 3.0, 0.0
-
-PATCH = 0.4
-"""Part of what the best function gains over nothing that names have to add to it to count beside it: less may make up
-for what a function of finite resolution, taken to first order, leaves of a large misfit. Of names beside something that
-has none it costs about a quarter; at 0.2 a ripple of 64 sigma had a plume in it."""
-
-CERTAIN = CONFIDENCES[:2]
-
-LEFT = 0.05
-"""Part of what the names removed, or of a misfit that is placed, that may be left without changing the verdict: what
-stands for nearly all may be right beside a model that is not perfect."""
-
-UNSURE = 0.05
-"""Probability of setting errors from which on nothing is said to be missing."""
+from benchsim.diagnosis.result import Found, Location, Size
 
 
 @dataclass(frozen=True)
@@ -122,13 +106,13 @@ class Findings:
         function has to do better by more than chance."""
         if self.claim is None or self.refuted:
             return False
-        doubted = self.outdone is None or self.outdone >= BETTER
-        return self.margin >= PROBABLE_MARGIN or not doubted
+        doubted = self.outdone is None or self.outdone >= APART
+        return self.margin >= 0 or not doubted
 
     @property
     def written(self) -> bool:
         """The claim goes into the amended file though it may not be certain: it predicts better than what is stated."""
-        return self.claim is not None and self.predicted is not None and self.predicted >= BETTER
+        return self.claim is not None and self.predicted is not None and self.predicted >= APART
 
     @property
     def something_left(self) -> bool:
@@ -142,7 +126,7 @@ class Findings:
 
 
 def lead(names: float, both: float, function: float, nothing: float) -> float:
-    """ln Z of names over a function in their place; with a function on them where they are no `PATCH` on it.
+    """ln Z of names over a function in their place; with a function on them where they are no `levels.PATCH` on it.
 
     Parameters
     ----------
@@ -167,8 +151,8 @@ def verdict(findings: Findings, location: Location | None) -> str:
 def confidence(name: str, probability: float, findings: Findings) -> str | None:
     """ "named", "probable", "provisional", or None where it may not be said; of an effect without close rivals."""
     margin = findings.lead(name)
-    if probability >= LIKELY and margin >= PROBABLE_MARGIN and not findings.refuted:
-        return "named" if probability >= SURE and margin >= NAMED_MARGIN else "probable"
+    if probability >= LIKELY and margin >= 0 and not findings.refuted:
+        return "named" if probability >= SURE and margin >= MARGIN else "probable"
     return "provisional" if findings.written else None
 
 
@@ -199,7 +183,7 @@ def found(
         probability = hypotheses.probability([(name,)])
         said = confidence(name, probability, findings)
         if said is None:
-            outdone = findings.lead(name) < PROBABLE_MARGIN
+            outdone = findings.lead(name) < 0
             but = (
                 " among the catalogue's effects; beside a function without a name it adds too little" if outdone else ""
             )

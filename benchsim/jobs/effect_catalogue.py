@@ -14,8 +14,9 @@ import numpy as np
 from benchsim.bench.files import given, sources
 from benchsim.bench.model import Recording
 from benchsim.bench.writing import write_text
-from benchsim.diagnosis.degeneracy import CLOSE, Space, separation, space
+from benchsim.diagnosis.degeneracy import Space, separation, space
 from benchsim.diagnosis.detection_limits import SIGMAS, limits
+from benchsim.diagnosis.levels import APART
 from benchsim.diagnosis.linear import linearise
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.result import Limit
@@ -145,7 +146,7 @@ class IsolabilityResult(Shown):
                 at_cap=self.at_cap,
                 separation=self.separation,
                 seen_at=SIGMAS,
-                close=CLOSE,
+                close=APART,
                 told_at=TOLD_AT,
                 defaults=r.defaults_used,
                 shaped=shapes_text(self.effects),

@@ -12,9 +12,10 @@ from scipy.optimize import lsq_linear
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.diagnosis import evidence
-from benchsim.diagnosis.degeneracy import CLOSE, bounds
+from benchsim.diagnosis.degeneracy import bounds
 from benchsim.diagnosis.fitting import RENEWALS, Start, fitted
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point
+from benchsim.diagnosis.levels import APART
 from benchsim.diagnosis.linear import Linear, columns, factors, fit_value, linearise, predict_all, value_of, whiten
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.screen import Catalogue, expand
@@ -225,7 +226,7 @@ def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequenc
     Returns
     -------
     tuple of str and float
-        Names joined by +, and [sigma]. None is followed further once one is within `CLOSE`. What ends beyond its caps
+        Names joined by +, and [sigma]. None is followed further once one is within `APART`. What ends beyond its caps
         counts as far off as it is to first order, within them.
     """
     data = predict_all(sight.problem, values)
@@ -242,7 +243,7 @@ def rival_refitted(sight: Sight, values: Mapping[str, float], concealed: Sequenc
         except BenchsimError:  # light that misses the board on the way
             found = float("inf")
         tried.append(replace(stand, distance=found if np.isfinite(found) else stand.distance))
-        if found < CLOSE:
+        if found < APART:
             break
     best = min(tried, key=lambda t: t.distance, default=stand)
     return best.names, best.distance

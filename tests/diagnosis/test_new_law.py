@@ -54,13 +54,13 @@ def test_a_function_of_the_wrong_coordinate_has_no_law():
 
 
 def test_gain_needs_half_and_three_sigma():
-    assert new_law.gain([(100.0, 1.0, 4.0), (120.0, 2.0, 4.0), (90.0, -3.0, 4.0)], 50).holds
+    assert new_law.gain(np.array([(100.0, 1.0, 1.0), (120.0, 2.0, 1.0), (90.0, -3.0, 1.0)]).T, 50).holds
     # Half is not reached.
-    assert not new_law.gain([(1000.0, 600.0, 4.0)] * 4, 50).holds
+    assert not new_law.gain(np.array([*[(1000.0, 600.0, 1.0)] * 4]).T, 50).holds
     # One fold carries all of it: the jackknife says so.
-    assert not new_law.gain([(1000.0, 10.0, 4.0), (10.0, 300.0, 4.0), (10.0, 50.0, 4.0)], 50).holds
+    assert not new_law.gain(np.array([(1000.0, 10.0, 1.0), (10.0, 300.0, 1.0), (10.0, 50.0, 1.0)]).T, 50).holds
     # Nothing to take away.
-    assert not new_law.gain([(-5.0, -6.0, 1.0)] * 3, 50).holds
+    assert not new_law.gain(np.array([*[(-5.0, -6.0, 0.25)] * 3]).T, 50).holds
 
 
 def test_fewer_than_three_settings_publish_nothing():

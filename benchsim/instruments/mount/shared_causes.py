@@ -31,8 +31,8 @@ from scipy.special import logsumexp, softmax
 from scipy.stats import multivariate_t, norm
 
 from benchsim.diagnosis import forward, linear
-from benchsim.diagnosis.degeneracy import LIKELY, MISSING
 from benchsim.diagnosis.evidence import amplitudes, log_prior, shapes
+from benchsim.diagnosis.levels import LIKELY, MISSING
 from benchsim.diagnosis.problem import Parameter, Problem
 from benchsim.instruments.mount import effects
 from benchsim.instruments.mount import problem as mount_problem
