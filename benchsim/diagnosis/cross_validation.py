@@ -27,6 +27,7 @@ from benchsim.diagnosis import noise as noises
 from benchsim.diagnosis import screen
 from benchsim.diagnosis.degeneracy import estimate, space
 from benchsim.diagnosis.discrepancy import Attached, absorb, weigh
+from benchsim.diagnosis.evidence import Term, log_prior
 from benchsim.diagnosis.functions import Prepared, kernel_root, prepare, smooth_functions, whitened
 from benchsim.diagnosis.hypothesis import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.levels import AS_WELL
@@ -173,21 +174,33 @@ def excess(linear: Linear, residual: Array, test: NDArray[np.bool_], scale: floa
     return float(r @ r - cross @ cho_solve(factor, cross)) - int(test.sum())
 
 
-def choose(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> tuple[Effects, Attached | None]:
-    """The most probable explanation by the training settings: a set of effects, or else an attachment."""
-    train = only(fold.linear, ~fold.test)
-    place = {n: i for i, n in enumerate(train.names)}
+Choices = Sequence[tuple[Effects, list[Term]]]
+"""Sets of effects to choose from, and their integrals over the columns of the whole catalogue."""
+
+
+def choices(problem: Problem, fold: Fold) -> Choices:
+    """Every set that the search weighed, about the linearisation of the folds."""
+    place = {n: i for i, n in enumerate(fold.linear.names)}
     nodes = {}
     for e in problem.catalogue:
         # One node of the shape grid stands for all: its share of the prior comes with it.
         share = -sum(float(np.log(len(p.grid))) for p in e.parameters if p.grid)
         nodes[e.name] = (screen.Node({}, tuple(place[p.name] for p in e.parameters if p.name in place), share),)
-    catalogue = screen.Catalogue(
-        {e.name: e for e in problem.catalogue}, nodes, train.effect, np.zeros_like(train.effect)
-    )
+    none = np.zeros((0, 0))
+    catalogue = screen.Catalogue({e.name: e for e in problem.catalogue}, nodes, none, none)
+    cache: dict[str, list[Term]] = {}
+    weighed = [(), *(effects for effects, _, _ in fold.naming.screened)]
+    return [(effects, screen.hypothesis_terms(catalogue, effects, cache)) for effects in weighed]
+
+
+def choose(
+    problem: Problem, fold: Fold, prepared: tuple[Prepared, ...], sets: Choices
+) -> tuple[Effects, Attached | None]:
+    """The most probable explanation by the training settings: a set of effects, or else an attachment."""
+    train, known = only(fold.linear, ~fold.test), [e.name for e in problem.catalogue]
     scales, weights = fold.naming.setting_scales, fold.naming.scale_weights
-    sets = [(), *(effects for effects, _, _ in fold.naming.screened)]
-    found = screen.screen(train, catalogue, train.effect, scales, weights, sets)
+    found = screen.weigh(train, train.effect, scales, weights, sets)
+    found = {effects: z + log_prior(effects, known) for effects, z in found.items()}
     named = max(found, key=lambda h: found[h])
     # About the same point as the names: else they would be weighed on two different scales.
     plain = replace(fold.linear, effect=fold.linear.effect[:, :0], names=())
@@ -208,9 +221,9 @@ def sized(problem: Problem, fold: Fold, about: Linear, effects: Effects) -> tupl
     return about.residual - about.effect @ estimate(space(problem, train, scale), effects), scale
 
 
-def predict(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...]) -> Prediction:
+def predict(problem: Problem, fold: Fold, prepared: tuple[Prepared, ...], sets: Choices) -> Prediction:
     """Choose and fit on the training settings, predict the left-out ones."""
-    effects, laid = choose(problem, fold, prepared)
+    effects, laid = choose(problem, fold, prepared, sets)
     linear = fold.linear
     if laid is not None:
         white, _ = whiten(problem, fold.naming.noise.covariance, laid.attachment.basis)
@@ -240,8 +253,9 @@ def show(problem: Problem, many: Sequence[Fold], prepared: tuple[Prepared, ...])
     n = len(problem.data)
     before, after, chosen = np.full(n, np.nan), np.full(n, np.nan), []
     total_before = total_after = 0.0
+    sets = choices(problem, many[0])
     for fold in many:
-        made = predict(problem, fold, prepared)
+        made = predict(problem, fold, prepared, sets)
         chosen.append(made.chosen)
         total_before += excess(fold.naming.linear, made.before, fold.test, made.scale)
         total_after += excess(fold.linear, made.after, fold.test, made.scale)

@@ -116,7 +116,7 @@ def log_z_about(s: Search, solved: Solved, wanted: Sequence[Effects]) -> dict[Ef
     for effects in wanted:
         kept = Hypothesis(tuple(e for e in h.effects if e.name in effects))
         there = [number[p.name] for p in (*kept.amplitudes, *kept.shapes)]
-        base = [replace(t, columns=tuple(there[c] for c in t.columns)) for t in kept.terms()]
+        base = [replace(t, columns=tuple(there[c] for c in t.columns)) for t in kept.terms]
         more = tuple(e for e in effects if e not in h.names)
         joined = screen.hypothesis_terms(s.catalogue, more, cache, own.shape[1])
         listed.append((effects, [screen.join(a, b) for a in base for b in joined]))

@@ -224,7 +224,7 @@ def _prior(context: Context, h: Hypothesis, hyper: tuple[int, int]) -> tuple[Arr
     """Precision and slope of −ln prior of all parameters at a setting scale and a field sigma."""
     scaled = np.array([p.scaled for p in context.problem.nuisances], bool)
     precision, slope = list(np.where(scaled, context.scales[hyper[0]], 1.0) ** -2.0), [0.0] * len(scaled)
-    for a, sigma in zip(h.amplitudes, h.sigmas(h.terms()[hyper[1]].field_sigma), strict=True):
+    for a, sigma in zip(h.amplitudes, h.sigmas(h.terms[hyper[1]].field_sigma), strict=True):
         square = evidence.kind(a) == 2
         precision.append(0.0 if square else sigma**-2.0)
         slope.append(0.5 * sigma**-2.0 if square else 0.0)
@@ -248,7 +248,7 @@ def _task(context: Context, h: Hypothesis, hyper: tuple[int, int], theta: Array,
 
 def _first_term(h: Hypothesis) -> int:
     """Random fields begin at their largest sigma, which lets them go where they have to."""
-    terms = h.terms()
+    terms = h.terms
     return max(range(len(terms)), key=lambda i: terms[i].field_sigma)
 
 
@@ -270,8 +270,8 @@ def about(context: Context, h: Hypothesis, end: Solution) -> Linear:
 def _cells(context: Context, h: Hypothesis, end: Solution) -> Array:
     p = len(context.problem.nuisances)
     if not np.isfinite(end.cost):
-        return np.full((len(context.scales), len(h.terms())), -np.inf)
-    return settings.log_cells(about(context, h, end), -end.jacobian[:, p:], context.scales, context.weights, h.terms())
+        return np.full((len(context.scales), len(h.terms)), -np.inf)
+    return settings.log_cells(about(context, h, end), -end.jacobian[:, p:], context.scales, context.weights, h.terms)
 
 
 def _choose(cells: Array) -> tuple[int, int]:
@@ -332,7 +332,7 @@ def _solved(context: Context, run: _Run, log_prior: float) -> Solved:
 
 def _posterior(context: Context, h: Hypothesis, lin: Linear, columns: Array, cells: Array) -> Array:
     """Covariance of nuisances, amplitudes (fit space) and shapes, hyper-parameters mixed in."""
-    terms = h.terms()
+    terms = h.terms
     both = np.column_stack([lin.nuisance, columns])
     square, projected = both.T @ both, both.T @ lin.residual
     p, k = lin.nuisance.shape[1], len(h.amplitudes)

@@ -105,18 +105,19 @@ class Hypothesis:
 
     effects: tuple[Effect, ...]
 
-    @property
+    @cached_property
     def names(self) -> Effects:
         return tuple(e.name for e in self.effects)
 
-    @property
+    @cached_property
     def amplitudes(self) -> tuple[Parameter, ...]:
         return tuple(p for e in self.effects for p in evidence.amplitudes(e))
 
-    @property
+    @cached_property
     def shapes(self) -> tuple[Parameter, ...]:
         return tuple(p for e in self.effects for p in evidence.shapes(e))
 
+    @cached_property
     def terms(self) -> list[Term]:
         """Integrals over amplitudes and shapes; columns: amplitudes, then shapes."""
         out: list[tuple[list[tuple[int, float, int]], float, tuple[float, ...]]] = [([], 0.0, ())]

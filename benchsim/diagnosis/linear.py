@@ -282,38 +282,41 @@ def columns_at(
     steps: Mapping[str, float] | None = None,
 ) -> list[Array]:
     """`columns` at several points, each with parameters of its own; all predictions are asked for at once."""
-    tasks: list[tuple[int, int, int, int, int, float]] = []
+    every = range(len(problem.names))
     values: list[Values] = []
-    blocks: list[int] = []
-    here: dict[tuple[int, int], int] = {}
+    asked: list[int] = []
 
-    def ask(at: Values, block: int) -> int:
-        values.append(at)
-        blocks.append(block)
-        return len(values) - 1
+    def ask(at: Values, blocks: Sequence[int]) -> slice:
+        # One mapping for all blocks: a thousand records would fill the memory with copies.
+        values.extend([at] * len(blocks))
+        asked.extend(blocks)
+        return slice(len(values) - len(blocks), len(values))
 
+    here: dict[int, slice] = {}
+    tasks: list[tuple[int, int, Sequence[int], slice | None, slice, float]] = []
     for i, (at, parameters) in enumerate(points):
         for k, p in enumerate(parameters):
-            middle, own = at.get(p.name, 0.0), (steps or {}).get(p.name)
+            middle, half = at.get(p.name, 0.0), (steps or {}).get(p.name)
             # Away from 0 one step suffices; at 0 things may appear, a tilted window where there was none.
-            once = own is None and middle != 0.0
-            step = (FORWARD if once else CENTRAL) * p.sigma if own is None else own
+            once = half is None and middle != 0.0
+            step = (FORWARD if once else CENTRAL) * p.sigma if half is None else half
             low, high = (middle if once else middle - step), middle + step
             # A quantity that exists only where it is ≥ 0 is differentiated to the right of 0.
             if (p.one_sided or p.power > 1) and low < 0:
                 low, high, once = 0.0, 2 * step, False
+            if once and i not in here:
+                here[i] = ask(at, every)
+            own: Sequence[int] = every if p.blocks is None else p.blocks
+            below = None if once else ask({**at, p.name: low}, own)
             width = fit_value(p, high) - fit_value(p, low)
-            # One mapping for all blocks: a thousand records would fill the memory with copies.
-            below, above = {**at, p.name: low}, {**at, p.name: high}
-            for b in range(len(problem.names)) if p.blocks is None else p.blocks:
-                if once and (i, b) not in here:
-                    here[i, b] = ask(at, b)
-                first = here[i, b] if once else ask(below, b)
-                tasks.append((i, k, b, first, ask(above, b), width))
+            tasks.append((i, k, own, below, ask({**at, p.name: high}, own), width))
     out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
-    found = predictions(problem, values, blocks)
-    for i, k, b, first, second, width in tasks:
-        out[i][problem.rows(b), k] = (np.asarray(found[second]) - np.asarray(found[first])) / width
+    found = predictions(problem, values, asked)
+    middles = {i: np.concatenate(found[of]) for i, of in here.items()}
+    for i, k, own, below, above, width in tasks:
+        rows = slice(None) if own is every else np.r_[tuple(problem.rows(b) for b in own)]
+        first = middles[i][rows] if below is None else np.concatenate(found[below])
+        out[i][rows, k] = (np.concatenate(found[above]) - first) / width
     # Beside a point from which light just hits, a step may find none: no derivative is better than one that is not
     # finite, since steps of fits are taken on exact predictions.
     return [np.where(np.isfinite(j), j, 0.0) for j in out]

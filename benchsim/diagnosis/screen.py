@@ -188,25 +188,3 @@ def weigh(
     first = np.cumsum([0, *(len(ts) for _, ts in listed)])[:-1]
     total = np.logaddexp.reduceat(logsumexp(factors, axis=0), first)
     return {effects: float(z) for (effects, _), z in zip(listed, total, strict=True)}
-
-
-def screen(
-    about: Linear, catalogue: Catalogue, columns: Array, scales: Array, weights: Array, sets: Iterable[Effects]
-) -> dict[Effects, float]:
-    """ln Z of sets of effects, the prior of their presence included.
-
-    Parameters
-    ----------
-    about : Linear
-    catalogue : Catalogue
-    columns : (n, K) array
-        The catalogue's columns, whitened.
-    scales, weights : (m,) array
-        Grid of the setting scale.
-    sets : iterable of Effects
-        In the catalogue's order; () is the null.
-    """
-    names = list(catalogue.effects)
-    cache: dict[str, list[Term]] = {}
-    found = weigh(about, columns, scales, weights, [(e, hypothesis_terms(catalogue, e, cache)) for e in sets])
-    return {e: z + evidence.log_prior(e, names) for e, z in found.items()}

@@ -55,12 +55,12 @@ def test_a_fold_knows_nothing_of_what_it_leaves_out():
     problem = toy({"bow": 0.2}, 7)
     found, many, ready = prepared(problem)
     best = next(f for f in found.fits if f.converged)
-    before = cross_validation.predict(problem, many[2], ready)
+    before = cross_validation.predict(problem, many[2], ready, cross_validation.choices(problem, many[2]))
     spoilt = np.where(many[2].test, 40.0 * np.sin(np.arange(len(problem.data))), 0.0)
     lines = degeneracy.about(found.linear, best)
     spoilt_null = replace(found, linear=replace(found.linear, residual=found.linear.residual + spoilt))
     again = cross_validation.folds(problem, spoilt_null, replace(lines, residual=lines.residual + spoilt))[2]
-    after = cross_validation.predict(problem, again, ready)
+    after = cross_validation.predict(problem, again, ready, cross_validation.choices(problem, again))
     assert after.chosen == before.chosen == "bow"
     assert after.scale == before.scale
     assert again.naming.noise.scale == many[2].naming.noise.scale
