@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.trace.edges import intersections
+from benchsim.trace.edge_pixels import intersections
 from benchsim.trace.marks import MarkObservations
 
 Array = NDArray[np.float64]

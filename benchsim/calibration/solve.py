@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera
 from benchsim.calibration.model import BOARD, LENS, OWN, SHARED, State, predict
-from benchsim.trace.edges import OUTLIER_SIGMA
+from benchsim.trace.edge_pixels import OUTLIER_SIGMA
 from benchsim.trace.marks import FEWEST_MARKS, MarkObservations
 
 Array = NDArray[np.float64]

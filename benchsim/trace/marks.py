@@ -15,7 +15,8 @@ from scipy.optimize import minimize_scalar
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera, Marks
-from benchsim.trace.edges import CELLS, OUTLIER_SIGMA, EdgeFit, Edges, fit_edges, intersections
+from benchsim.trace.edge_pixels import CELLS, OUTLIER_SIGMA, Edges, intersections
+from benchsim.trace.edges import EdgeFit, fit_edges
 from benchsim.trace.image import Photograph
 from benchsim.trace.lens import distort, distortion_jacobian, undistort
 

@@ -17,7 +17,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.model import Camera
-from benchsim.trace.edges import OUTLIER_SIGMA
+from benchsim.trace.edge_pixels import OUTLIER_SIGMA
 from benchsim.trace.lens import distort, distortion_jacobian, undistort
 from benchsim.trace.marks import FEWEST_MARKS, MarkObservations
 from benchsim.trace.motion import motion
