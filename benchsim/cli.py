@@ -14,8 +14,10 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from benchsim.bench.names import printable
+from benchsim.usage import Commands
 
 app = typer.Typer(
+    cls=Commands,
     help="A heliostat bench as software: render it, read it back, validate the vector model, diagnose what is missing.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

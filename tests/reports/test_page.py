@@ -499,3 +499,13 @@ def test_stretches_say_which_datum_shows_them(made):
     found = replace(d, location=location, residuals=replace(r, before=r.after + flux))
     assert exhibits.stretch_kinds(problem, found)[:2] == ("f", "c")
     assert exhibits.stretch_kinds(problem, found)[2] in ("c", "w")
+
+
+def test_a_folder_without_a_page_says_what_to_open(tmp_path):
+    (tmp_path / "benchsim.json").write_text(json.dumps({"command": "flux"}))
+    for name in ("summary.txt", "field.png", "flux-tower.png", "flux.json"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(
+        BenchsimError, match=r"of 'benchsim flux' no page is made; open field\.png, flux-tower\.png, sum"
+    ):
+        jobs.report(tmp_path)
