@@ -41,6 +41,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from benchsim.bench.complaints import UNFILLED
 from benchsim.reports import page_field, page_plots, page_trial, page_words, vocabulary
 
 FORMAT = "benchsim-page/1"
@@ -154,6 +155,23 @@ def field_page(field: Mapping[str, Any], title: str, shared: Sequence[str]) -> s
         .get_template("field.html.j2")
         .render(title=title, shared=shared, stamp={}, **page_field.shown(field))
     )
+
+
+def form_page(title: str, folder: str, file: str, form: Mapping[str, Any], column: int) -> str:
+    """HTML in which a recording that was begun is filled in; it writes the file's text.
+
+    Parameters
+    ----------
+    title, folder, file : str
+        The recording's name, and where its file lies.
+    form : mapping
+        As `intake.form.shown` has it.
+    column : int
+        In which comments begin.
+    """
+    return _environment().get_template("form.html.j2").render(
+        title=title, folder=folder, file=file, column=column, open=UNFILLED, **form
+    )  # fmt: skip
 
 
 def _strongest(diagnosis: Mapping[str, Any]) -> dict[str, float]:
