@@ -23,6 +23,7 @@ PAGES = sorted(
     for p in ROOT.glob(pattern)
     if "gathered" not in p.parts
 )
+MAKER = (ROOT / "docs" / "gathered.py").read_text(encoding="utf-8")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
@@ -54,8 +55,12 @@ def test_commands_that_a_page_names_are_there(page):
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_what_a_page_links_to_is_there(page):
     for to in LINK.findall(page.read_text(encoding="utf-8")):
-        if not to.startswith(("http", "mailto", "#")):
-            assert (page.parent / to.partition("#")[0]).exists(), to
+        there = page.parent / to.partition("#")[0]
+        if there.parent.name == "gathered":
+            # Made when the manual is built, perhaps by another test at this very time.
+            assert f'"{there.stem}"' in MAKER or f'"{there.name}"' in MAKER, to
+        elif not to.startswith(("http", "mailto", "#")):
+            assert there.exists(), to
 
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
