@@ -157,15 +157,12 @@ def to_pixels(scene: Scene, board: np.ndarray) -> np.ndarray:
 def to_board(scene: Scene, pixels: np.ndarray) -> np.ndarray:
     """Pixels (n, 2) to board points [mm]."""
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-10)
-    ideal = cv2.undistortPoints(
-        np.ascontiguousarray(pixels, float).reshape(-1, 1, 2),
-        _matrix(scene.camera),
-        np.array(scene.camera.distortion),
-        None,
-        None,
-        None,
-        criteria,
-    )[:, 0]
+    flat = np.ascontiguousarray(pixels, float).reshape(-1, 1, 2)
+    lens = _matrix(scene.camera), np.array(scene.camera.distortion)
+    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
+        ideal = cv2.undistortPointsIter(flat, *lens, None, None, criteria)[:, 0]
+    else:
+        ideal = cv2.undistortPoints(flat, *lens, None, None, None, criteria)[:, 0]
     plane = np.linalg.inv(np.stack([scene.rotation[:, 1], scene.rotation[:, 2], scene.translation], axis=1))
     out = np.concatenate([ideal, np.ones((len(ideal), 1))], axis=1) @ plane.T
     return out[:, :2] / out[:, 2:]

@@ -14,8 +14,10 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from benchsim.bench.names import printable
+from benchsim.usage import Commands
 
 app = typer.Typer(
+    cls=Commands,
     help="A heliostat bench as software: render it, read it back, validate the vector model, diagnose what is missing.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -633,6 +635,9 @@ def new(
         bool, typer.Option("--plant", help="Begin a plant instead: plant.toml and a field in radial stagger.")
     ] = False,
     heliostats: Annotated[int, typer.Option(min=1, help="Of the plant.")] = 100,
+    form: Annotated[
+        bool, typer.Option("--form", help="Write form.html too, to fill in the file in a browser.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Begin a recording from photographs, or a plant. What they say is filled in, what only you know is marked."""
@@ -640,7 +645,7 @@ def new(
 
     _do(
         jobs.new, json, folder=folder, photos=[*(photos or []), *(more or [])], calibration=calibration, marks=marks,
-        like=like, plant=plant, heliostats=heliostats,
+        like=like, plant=plant, heliostats=heliostats, form=form,
     )  # fmt: skip
 
 

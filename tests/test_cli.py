@@ -57,3 +57,19 @@ def test_a_complaint_is_json_too_where_that_was_asked_for(tmp_path):
     assert done.exit_code == 1
     assert done.stderr == f"benchsim: {json.loads(done.stdout)['error']}\n"
     assert CliRunner().invoke(app, ["check", str(tmp_path / "none")]).stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("args", "mend"),
+    [
+        (["fit", "--pixel", "x"], "--pixel; did you mean --pixels? 'benchsim fit --help' tells what it takes."),
+        (["fit"], "'benchsim fit --help' tells what it takes."),
+        (["--versoin"], "did you mean --version? 'benchsim --help'"),
+        (["trial", "judge", "--agian", "x"], "did you mean --again? 'benchsim trial judge --help'"),
+        (["render", "x.toml", "--seed", "one"], "'benchsim render --help' tells what it takes."),
+        (["fitt"], "'benchsim --help' tells what it takes."),
+    ],
+)
+def test_a_usage_error_names_its_mend(args, mend):
+    done = CliRunner().invoke(app, args, prog_name="benchsim")
+    assert done.exit_code == 2 and mend in done.output

@@ -44,9 +44,10 @@ ALLOWED = {
         "plant",
     },
     "llvm": set(),
+    "usage": set(),
     "api": {"bench", "jobs"},
     "trial": {"bench", "diagnosis", "rays", "renderer", "instruments", "jobs"},
-    "cli": {"bench", "jobs", "trial"},
+    "cli": {"bench", "jobs", "trial", "usage"},
 }
 """Room → rooms it may import. ``reports`` sees the result types of the rooms below it."""
 

@@ -87,9 +87,10 @@ class DiagnosisResult(Diagnosed):
         return self.problem.catalogue
 
     def plot_residuals(self) -> Figure:
-        """Distance of every trace from its prediction, before and after."""
-        blocks = range(len(self.problem.names))
-        return pictures.residual_figure(self.problem, self.diagnosis, blocks, self.title)
+        """Residuals along every trace, before and after, of the kind of datum that shows most of what was found."""
+        blocks, most = range(len(self.problem.names)), exhibits.most(self.diagnosis)
+        kind = most if most in pictures.FILES else "c"
+        return pictures.residual_figure(self.problem, self.diagnosis, blocks, self.title, kind)
 
     def figures(self) -> list[Figure]:
         """Both pictures."""
@@ -124,6 +125,7 @@ class DiagnosisResult(Diagnosed):
                 defaults=r.defaults_used,
                 amended=f"{sentence}: {', '.join(put)}." if put else "",
                 moves=self.moves,
+                kinds=exhibits.stretch_kinds(self.problem, self.diagnosis),
             ),
         )
 
@@ -301,6 +303,8 @@ def draw(result: DiagnosisResult, folder: Path, pool: Workers, progress: Progres
     title = result.title
     progress("drawing", 0.78)
     pictures.residuals(folder, problem, d, title)
+    if (most := exhibits.most(d)) in pictures.FILES and most != "c":
+        pictures.residuals(folder, problem, d, title, most)
     pictures.observables(folder / "observables.png", problem, d, title)
     pictures.save(result.plot_probability(), folder / "probability.png")
     _draw_located(result, folder, pool, title)
@@ -389,6 +393,7 @@ def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: s
     where = result.diagnosis.location
     if where is None or not where.along_trace:
         return
+    kinds = exhibits.stretch_kinds(result.problem, result.diagnosis)
     strongest: dict[str, float] = {}
     for s in where.along_trace:
         strongest[s.exposure] = max(s.z, strongest.get(s.exposure, 0.0))
@@ -405,7 +410,7 @@ def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: s
         pictures.located(
             folder / f"located-{file_name(Path(exposure.image).stem)}.png",
             ridge,
-            [s for s in where.along_trace if s.exposure == exposure.name],
+            [(s, kind) for s, kind in zip(where.along_trace, kinds, strict=True) if s.exposure == exposure.name],
             result.problem,
             result.diagnosis,
             f"{title}: where the misfit lies in {exposure.name}; by the sum of all, in the {where.element}",

@@ -21,13 +21,14 @@ from benchsim.bench.model import Camera, Exposure, Recording
 from benchsim.bench.settings import NAMES
 from benchsim.bench.writing import write_bytes, write_text
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.result import Diagnosis, Size
+from benchsim.diagnosis.result import Diagnosis, Size, Stretch
 from benchsim.instruments.bench.board_coordinates import View
 from benchsim.instruments.bench.prediction import UNITS, Predict
 from benchsim.instruments.bench.validation import ExposureValidation
 from benchsim.jobs.effect_sizes import Moves
 from benchsim.jobs.fitting import FittedExposure
 from benchsim.jobs.output import label
+from benchsim.reports.diagnosis_text import STANDS_OUT
 from benchsim.reports.page import FORMAT
 from benchsim.reports.pictures import _tone
 
@@ -62,10 +63,13 @@ def write_diagnosis(
     """
     predict, r = problem.predict, d.residuals
     assert isinstance(predict, Predict)
+    shown = most(d) if most(d) != "c" else None
     used, rows = [], []
     for number, block in enumerate(predict.blocks):
         observed = block.observed
         here = problem.rows(number)
+        # Of marks: those that the data have.
+        marks = observed.view.flat.reshape(-1, 4, 2).mean(axis=1)[block.kept]
         # Centre-line data are the first of a block, one for each of its points.
         order = np.argsort(observed.s, kind="stable")
         at = here.start + order
@@ -86,6 +90,8 @@ def write_diagnosis(
                 r.sigma[at] / own[order],
             )
         )
+        if shown is not None:
+            rows[-1]["most"] = _of_kind(problem, d, number, shown, marks, own)
     found = d.verdict != "nothing-missing"
     extra = {
         "format": FORMAT,
@@ -99,8 +105,64 @@ def write_diagnosis(
         "exposures": rows,
         "moves": {name: {**_size(size), "how": how} for name, (size, how) in moves.items()},
         "priors": {p.name: {"sigma": p.sigma, "unit": p.unit} for p in problem.nuisances},
+        "most": shown,
+        "stretches": list(stretch_kinds(problem, d)),
     }
     _write(extra, recording, used, folder, photographs)
+
+
+def most(d: Diagnosis) -> str:
+    """Kind of datum that shows most of what was found: the centre line where none stands out."""
+    by_kind = d.location.by_kind if d.location is not None else {}
+    best = max(by_kind, key=lambda k: by_kind[k], default="c")
+    return best if by_kind.get(best, 0.0) >= STANDS_OUT else "c"
+
+
+def stretch_kinds(problem: Problem, d: Diagnosis) -> tuple[str, ...]:
+    """Kind of datum that shows each stretch of a diagnosis.
+
+    Stretches are windows over data of one kind, whose ends are theirs. Where two kinds have data at both ends, the one
+    is taken whose residuals, before, are further from 0 within, and no kind twice for the same window.
+    """
+    out: list[str] = []
+    taken: set[tuple[str, float, float, str]] = set()
+    for s in d.location.along_trace if d.location is not None else ():
+        rows = problem.rows(problem.names.index(s.exposure))
+        kind, at = problem.kind[rows], problem.position[rows]
+        misfit = {}
+        for k in np.unique(kind[kind != "m"]):
+            own = at[kind == k]
+            here = rows.start + np.flatnonzero((kind == k) & (at >= s.from_mm) & (at <= s.to_mm))
+            if {s.from_mm, s.to_mm} <= set(own.tolist()) and (*_window(s), k) not in taken:
+                misfit[str(k)] = float(np.mean((d.residuals.before[here] / d.residuals.sigma[here]) ** 2))
+        out.append(max(misfit, key=lambda k: misfit[k], default="c"))
+        taken.add((*_window(s), out[-1]))
+    return tuple(out)
+
+
+def _window(s: Stretch) -> tuple[str, float, float]:
+    return s.exposure, s.from_mm, s.to_mm
+
+
+def _of_kind(problem: Problem, d: Diagnosis, block: int, kind: str, marks: Array, own: Array) -> dict[str, Any] | None:
+    """Residuals of one kind of datum of a block: along the trace, or those of ``marks`` (k, 2) [px].
+
+    ``own`` (n_b,) is sigma over that of a datum given its neighbours.
+    """
+    r, rows = d.residuals, problem.rows(block)
+    at = rows.start + np.flatnonzero(problem.kind[rows] == kind)
+    if not len(at):
+        return None
+    if kind == "m":
+        before, after = r.before[at].reshape(-1, 2), r.after[at].reshape(-1, 2)
+        return {"at_px": _list(marks, 2), "before_px": _list(before, 4), "after_px": _list(after, 4)}
+    at = at[np.argsort(problem.position[at], kind="stable")]
+    named = {key: getattr(r, key) for key in ("before", "after", "held_out_before", "held_out_after", "sigma")}
+    return {
+        "s_mm": _list(problem.position[at], 2),
+        **{key: _list(values[at]) for key, values in named.items()},
+        "sigma_alone": _list(r.sigma[at] / own[at - rows.start]),
+    }
 
 
 def write_validation(

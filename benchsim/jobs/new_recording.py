@@ -20,12 +20,16 @@ from benchsim.bench.reading import file_hash
 from benchsim.bench.toml_file import load_toml
 from benchsim.bench.writing import write_text
 from benchsim.calibration.record import read_camera
-from benchsim.intake.filling import Shot, alike, cameras_of, recording_toml
+from benchsim.intake.filling import COMMENT_COLUMN, Shot, alike, cameras_of, recording_toml
+from benchsim.intake.form import shown
 from benchsim.intake.pairing import laser_light, pair
 from benchsim.intake.photo import SUFFIXES, Photo, read_photo
 from benchsim.jobs import plant_files
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
+from benchsim.reports.page import form_page
+
+FORM = "form.html"
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,6 +40,7 @@ class NewResult(Shown):
     shots: tuple[Shot, ...]
     unfilled: tuple[str, ...]
     marks: bool
+    form: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``--json``."""
@@ -56,7 +61,8 @@ class NewResult(Shown):
         ]
         if not self.marks:
             lines.append(f"put the board's marks.csv into {self.folder}/")
-        return "\n".join([*lines, f"next: fill them in, then benchsim check {self.folder}"])
+        how = f"open {self.folder / FORM} in a browser, or an editor, and fill them in" if self.form else "fill them in"
+        return "\n".join([*lines, f"next: {how}, then benchsim check {self.folder}"])
 
 
 def new(
@@ -68,6 +74,7 @@ def new(
     calibration: Path | str | None = None,
     marks: Path | str | None = None,
     like: Path | str | None = None,
+    form: bool = False,
     progress: Progress = silent,
 ) -> NewResult | plant_files.PlantMade:
     """Begin a recording from photographs: a commented ``recording.toml``, the pictures and, if given, the marks.
@@ -89,6 +96,8 @@ def new(
     like : path, optional
         A bench file or recording of the same bench: its laser, mirror, screen and uncertainty are taken over, and
         without a calibration its camera.
+    form : bool
+        Write ``form.html`` too, in which a browser fills the file in.
     progress : callable
         Called with what is being done and the fraction done.
 
@@ -103,7 +112,7 @@ def new(
     """
     target = Path(folder)
     if plant:
-        if photos or calibration or marks or like:
+        if photos or calibration or marks or like or form:
             raise BenchsimError("--plant: a plant is not begun from photographs; leave the other options out")
         return plant_files.begin(target, heliostats)
     file = target / FILE
@@ -141,9 +150,12 @@ def new(
         text = alike(text, load_toml(read_bench(like).path), cameras=calibrated is None)
     _put(target, [(p.path, n) for p, n in zip(taken, names, strict=True)], Path(marks) if marks else None)
     write_text(file, text)
+    if form:
+        name = printable(target.resolve().name)
+        write_text(target / FORM, form_page(name, printable(str(target)), FILE, shown(text), COMMENT_COLUMN))
     progress("written", 1.0)
     unfilled = tuple(key for key, mend in complaints(file) if "not filled in" in mend)
-    return NewResult(target, shots, unfilled, (target / "marks.csv").exists())
+    return NewResult(target, shots, unfilled, (target / "marks.csv").exists(), form)
 
 
 def _listed(photos: Sequence[Path | str]) -> list[Path]:

@@ -19,6 +19,9 @@ from benchsim.reports import forms, page, page_trial
 
 NAME = "report.html"
 
+MOST_NAMED = 4
+"""Files that are named where there is no page: a sentence, not a listing."""
+
 
 @dataclass(frozen=True)
 class ReportResult:
@@ -93,10 +96,7 @@ def build(folder: Path, allow_outside: bool = False) -> tuple[str, str]:
         return "trial", _drawn(folder, "score.json", lambda: page.trial_page(score, stamp))
     result = next((n for n in ("diagnosis.json", "validation.json") if (folder / n).is_file()), None)
     if result is None:
-        raise BenchsimError(
-            f"{folder}: holds no diagnosis.json, validation.json or score.json; name a folder that run, diagnose or "
-            "trial open wrote"
-        )
+        raise BenchsimError(_no_page(folder, stamp))
     if not (folder / "page.json").is_file():
         raise BenchsimError(
             f"{folder}: holds no page.json, without which there is nothing to draw; write the folder anew with "
@@ -124,6 +124,20 @@ def build(folder: Path, allow_outside: bool = False) -> tuple[str, str]:
     forms.checked(forms.Stamp, folder / STAMP, stamp)
     draw = partial(page.validation_page, found, conics, extra, photographs, stamp)
     return "validation", _drawn(folder, f"{result} or conics.json", draw)
+
+
+def _no_page(folder: Path, stamp: Any) -> str:
+    """What a folder without a page is, and what to open in it instead."""
+    command = stamp.get("command") if isinstance(stamp, dict) else None
+    there = [p.name for p in sorted(folder.iterdir()) if p.name in (NAME, "summary.txt") or p.suffix == ".png"]
+    if isinstance(command, str) and there:
+        more = f" and {len(there) - MOST_NAMED} more" if len(there) > MOST_NAMED else ""
+        names = ", ".join(there[:MOST_NAMED])
+        return f"{folder}: of 'benchsim {command}' no page is made; open {names}{more} in it"
+    return (
+        f"{folder}: holds no diagnosis.json, validation.json or score.json; name a folder that run, diagnose or trial "
+        "open wrote"
+    )
 
 
 def _drawn(folder: Path, name: str, draw: Callable[[], str]) -> str:

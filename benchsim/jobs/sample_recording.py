@@ -78,6 +78,7 @@ def sample(
     Parameters
     ----------
     folder : path
+        Is made; must not hold a recording: that of another sample is somebody's to remove.
     seed : int
         Decides what is concealed, and everything else that is drawn.
     answer : bool
@@ -105,6 +106,8 @@ def sample(
     result = SampleResult(Path(folder), None, seed, (name, parameter, value, unit))
     if answer:
         return result
+    if (there := Path(folder) / FILE).exists():
+        raise BenchsimError(f"{there}: a recording lies there already; name another folder, or remove it")
     from benchsim.renderer import backend
     from benchsim.renderer.recording import render_recording
 

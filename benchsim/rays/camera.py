@@ -93,10 +93,17 @@ def pixel_rays(camera: Camera, rotation: Array, translation: Array, pixels: Arra
     """
     pixels = np.asarray(pixels, float)
     flat = np.ascontiguousarray(pixels.reshape(-1, 1, 2))
-    ideal = cv2.undistortPoints(flat, matrix(camera), np.array(camera.distortion), None, None, None, UNDISTORT)
+    ideal = _undistorted(flat, matrix(camera), np.array(camera.distortion))
     rays = np.concatenate([ideal.reshape(-1, 2), np.ones((flat.shape[0], 1))], axis=1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return -np.asarray(rotation).T @ translation, (rays @ rotation).reshape(*pixels.shape[:-1], 3)
+
+
+def _undistorted(pixels: Array, pinhole: Array, distortion: Array) -> Array:
+    """Ideal image coordinates (n, 1, 2) of pixels (n, 1, 2) [px], steps of the inversion to `UNDISTORT`."""
+    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4, whose undistortPoints takes no criteria
+        return np.asarray(cv2.undistortPointsIter(pixels, pinhole, distortion, None, None, UNDISTORT))
+    return np.asarray(cv2.undistortPoints(pixels, pinhole, distortion, None, None, None, UNDISTORT))
 
 
 def project_board(camera: Camera, rotation: Array, translation: Array, placement: Placement, board: Array) -> Array:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -248,7 +249,7 @@ def _write(path: Path, counts: Counts, stated: Camera, time: float, orientation:
     """A JPEG with the EXIF that a phone writes, under a temporary name first."""
     exif = Pillow.Exif()
     exif[0x010F], exif[0x0110], exif[0x0112] = "benchsim", "simulated phone", orientation
-    own = exif.get_ifd(0x8769)
+    own: dict[int, Any] = {}
     stamp = (EPOCH + timedelta(seconds=time)).strftime("%Y:%m:%d %H:%M:%S")
     own[0x9003], own[0x9004], own[0x9291] = stamp, stamp, f"{round(1000 * (time % 1)):03d}"
     own[0x829A], own[0x8827], own[0x829D] = 0.5, 50, 1.8
@@ -256,6 +257,8 @@ def _write(path: Path, counts: Counts, stated: Camera, time: float, orientation:
     own[0x920A] = round(5.6 / 26.0 * stated.focal / across * DIAGONAL_35MM, 2)
     own[0xA405] = round(stated.focal / across * DIAGONAL_35MM)
     own[0xA001], own[0xA404] = 1, 1.0
+    # Assigned: the oldest Pillow does not write what is only put into the table it hands out.
+    exif[0x8769] = own
     picture = io.BytesIO()
     Pillow.fromarray(counts).save(picture, "JPEG", quality=quality, subsampling="4:2:0", exif=exif)
     write_bytes(path, picture.getvalue())

@@ -39,16 +39,23 @@ PER_PAGE = 12
 """Exposures in one picture; more go to further ones."""
 
 
-def residuals(folder: Path, problem: Problem, d: Diagnosis, title: str) -> list[Path]:
-    """Distance of every trace from its prediction, before and after: fitted, and predicted from the other settings.
+FILES: Mapping[str, str] = {"c": "residuals", "w": "residuals-width", "f": "residuals-flux", "g": "residuals-parting"}
+"""Kind of datum along a trace → name of its picture."""
+
+
+def residuals(folder: Path, problem: Problem, d: Diagnosis, title: str, kind: str = "c") -> list[Path]:
+    """Residuals of every trace before and after: fitted, and predicted from the other settings.
 
     Parameters
     ----------
     folder : Path
-        ``residuals.png`` is written into it, and ``residuals-2.png`` … for every further twelve exposures.
+        ``residuals.png`` is written into it, and ``residuals-2.png`` … for every further twelve exposures; of other
+        kinds than the centre line see `FILES`.
     problem : Problem
     d : Diagnosis
     title : str
+    kind : str
+        One of `FILES`.
 
     Returns
     -------
@@ -57,24 +64,25 @@ def residuals(folder: Path, problem: Problem, d: Diagnosis, title: str) -> list[
     out = []
     pages = range(0, len(problem.names), PER_PAGE)
     for page, first in enumerate(pages, 1):
-        path = folder / ("residuals.png" if page == 1 else f"residuals-{page}.png")
+        path = folder / (FILES[kind] + (".png" if page == 1 else f"-{page}.png"))
         blocks = range(first, min(first + PER_PAGE, len(problem.names)))
         named = title if len(pages) == 1 else f"{title} ({page} of {len(pages)})"
-        save(residual_figure(problem, d, blocks, named), path)
+        save(residual_figure(problem, d, blocks, named, kind), path)
         out.append(path)
     return out
 
 
-def residual_figure(problem: Problem, d: Diagnosis, blocks: range, title: str) -> Figure:
-    """The residuals of some exposures, each above its own left-out ones."""
+def residual_figure(problem: Problem, d: Diagnosis, blocks: range, title: str, kind: str = "c") -> Figure:
+    """The residuals of one kind of datum of some exposures, each above its own left-out ones."""
     r = d.residuals
+    name, unit = BENCH.kinds[kind]
     held = np.isfinite(r.held_out_after).any()
     columns = min(len(blocks), 3)
     rows = -(-len(blocks) // columns)
     panels = 2 if held else 1
     drawn = [r.before, r.after, r.held_out_before, r.held_out_after]
     # Traces are compared, on further pages too: one scale for all.
-    shown = np.abs(np.stack(drawn))[:, problem.kind == "c"]
+    shown = np.abs(np.stack(drawn))[:, problem.kind == kind]
     reach = 1.15 * max(float(np.max(shown, where=np.isfinite(shown), initial=0.0)), 1e-12)
     figure = Figure(figsize=(5.2 * columns + 0.5, (1.55 * panels + 0.55) * rows + 1.1), layout="constrained")
     grid = figure.add_gridspec(rows * panels, columns)
@@ -84,21 +92,20 @@ def residual_figure(problem: Problem, d: Diagnosis, blocks: range, title: str) -
         top: Axes | None = None
         for j, (before, after, word) in enumerate(pairs):
             axes = figure.add_subplot(grid[row * panels + j, column], sharex=top)
-            _residual_panel(axes, problem, b, before, after, r.sigma, _alone(problem, b, r.sigma))
+            _residual_panel(axes, problem, b, before, after, r.sigma, kind)
             axes.set_ylim(-reach, reach)
             if j == 0:
                 top = axes
-                name = f"{problem.names[b]}, setting {problem.groups[b]}"
-                axes.set_title(name, fontsize=9)
+                axes.set_title(f"{problem.names[b]}, setting {problem.groups[b]}", fontsize=9)
             if column == 0:
-                axes.set_ylabel(f"{word}\n(mm)", fontsize=8)
+                axes.set_ylabel(f"{word}\n({unit})" if unit else word, fontsize=8)
             if j < panels - 1:
                 axes.tick_params(labelbottom=False)
             elif row == rows - 1 or i + columns >= len(blocks):
                 axes.set_xlabel("along the trace (mm)", fontsize=8)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncol=4)
-    explained = "distance of the trace from its prediction, settings fitted"
+    explained = f"{BENCH.distance if kind == 'c' else f'{name} less its prediction'}, settings fitted"
     if held:
         explained += "; left out: predicted from the other settings"
     figure.suptitle(fill(f"{title}: {explained}", 52 * columns), fontsize=10)
@@ -117,19 +124,21 @@ def _bands(axes: Axes, s: Array, sigma: Array, alone: Array) -> None:
 
 
 def _residual_panel(
-    axes: Axes, problem: Problem, block: int, before: Array, after: Array, sigma: Array, alone: Array
+    axes: Axes, problem: Problem, block: int, before: Array, after: Array, sigma: Array, kind: str
 ) -> None:
     rows = problem.rows(block)
-    main = np.flatnonzero((problem.kind[rows] == "c") & np.isfinite(before[rows])) + rows.start
+    main = np.flatnonzero((problem.kind[rows] == kind) & np.isfinite(before[rows])) + rows.start
     _plain(axes)
     axes.tick_params(labelsize=8)
     axes.axhline(0, color=GREY, linewidth=0.6)
     if not len(main):
-        axes.text(0.5, 0.5, "no centre line", transform=axes.transAxes, ha="center", va="center", fontsize=8)
+        axes.text(
+            0.5, 0.5, f"no {BENCH.kinds[kind][0]}", transform=axes.transAxes, ha="center", va="center", fontsize=8
+        )
         return
     order = main[np.argsort(problem.position[main], kind="stable")]
     s = problem.position[order]
-    _bands(axes, s, sigma[order], alone[order - rows.start])
+    _bands(axes, s, sigma[order], _alone(problem, block, sigma)[order - rows.start])
     axes.plot(s, before[order], "o", color=BEFORE, markersize=2.6, markerfacecolor="none", label="before")
     axes.plot(s, after[order], "o", color=AFTER, markersize=2.6, label="after: what was found put in")
 
@@ -292,15 +301,18 @@ def _window(ridge: Ridge) -> tuple[Array, Array]:
     return np.clip(low - more, -0.5, size - 0.5), np.clip(high + more, -0.5, size - 0.5)
 
 
-def located(path: Path, ridge: Ridge, stretches: Sequence[Stretch], problem: Problem, d: Diagnosis, title: str) -> None:
+def located(
+    path: Path, ridge: Ridge, stretches: Sequence[tuple[Stretch, str]], problem: Problem, d: Diagnosis, title: str
+) -> None:
     """The stretches of a trace where the misfit lies, over the photograph and over the residuals.
 
     Parameters
     ----------
     path : Path
     ridge : Ridge
-    stretches : sequence of Stretch
-        Of this exposure.
+    stretches : sequence of (Stretch, str)
+        Of this exposure, the strongest first, each with the kind of datum that shows it; the residuals are those of the
+        first's kind.
     problem : Problem
     d : Diagnosis
     title : str
@@ -313,19 +325,12 @@ def located(path: Path, ridge: Ridge, stretches: Sequence[Stretch], problem: Pro
     picture.imshow(_tone(ridge.light), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
     picture.set(xticks=[], yticks=[], xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     picture.plot(*ridge.pixels.T, color=MEASURED, linewidth=0.6)
-    block = problem.names.index(ridge.name)
-    rows = problem.rows(block)
-    r = d.residuals
-    main = np.flatnonzero(problem.kind[rows] == "c") + rows.start
-    main = main[np.argsort(problem.position[main], kind="stable")]
-    s, before, sigma = problem.position[main], r.before[main], r.sigma[main]
-    _plain(below)
-    _bands(below, s, sigma, _alone(problem, block, r.sigma)[main - rows.start])
-    below.plot(s, before, "o", color=BEFORE, markersize=2.8, markerfacecolor="none", label="before")
-    below.plot(s, r.after[main], "o", color=AFTER, markersize=2.8, label="after")
-    below.axhline(0, color=GREY, linewidth=0.6)
-    for stretch in stretches:
-        below.axvspan(stretch.from_mm, stretch.to_mm, color="#ffd92f", alpha=0.45, linewidth=0)
+    r, first = d.residuals, stretches[0][1] if stretches else "c"
+    _residual_panel(below, problem, problem.names.index(ridge.name), r.before, r.after, r.sigma, first)
+    apart = len({(s.from_mm, s.to_mm) for s, _ in stretches}) < len(stretches)
+    for number, (stretch, kind) in enumerate(stretches):
+        if kind == first:
+            below.axvspan(stretch.from_mm, stretch.to_mm, color="#ffd92f", alpha=0.45, linewidth=0)
         here = (ridge.s >= stretch.from_mm) & (ridge.s <= stretch.to_mm)
         if not here.any():
             continue
@@ -334,12 +339,13 @@ def located(path: Path, ridge: Ridge, stretches: Sequence[Stretch], problem: Pro
         path_px = part[order]
         pieces = np.stack([path_px[:-1], path_px[1:]], axis=1)
         picture.add_collection(LineCollection(list(pieces), colors="#ffd92f", linewidths=7, alpha=0.5))
-        u, v = path_px[len(path_px) // 2]
+        # Stretches of two kinds may be the same one: their labels would lie on each other.
+        u, v = path_px[len(path_px) * (number + 1) // (len(stretches) + 1) if apart else len(path_px) // 2]
         along = path_px[-1] - path_px[0]
         across = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9)
         across *= np.sign(across @ ((low + high) / 2 - (u, v))) or 1.0
         picture.annotate(
-            f"{stretch.from_mm:.0f} … {stretch.to_mm:.0f} mm\n{stretch.z:.1f} sigma",
+            f"{stretch.from_mm:.0f} … {stretch.to_mm:.0f} mm\n{BENCH.kinds[kind][0]}: {stretch.z:.1f} sigma",
             (u, v),
             xytext=(62 * across[0], -62 * across[1]),
             textcoords="offset points",
@@ -357,7 +363,13 @@ def located(path: Path, ridge: Ridge, stretches: Sequence[Stretch], problem: Pro
             word, (u, v), xytext=(0, -12), textcoords="offset points", ha="center", color="white", fontsize=8
         )
     below.set_xlabel("along the trace (mm)", fontsize=9)
-    below.set_ylabel("distance from the\nprediction (mm)", fontsize=9)
+    name, unit = BENCH.kinds[first]
+    below.set_ylabel(
+        "distance from the\nprediction (mm)"
+        if first == "c"
+        else f"{name}\nless predicted{f' ({unit})' if unit else ''}",
+        fontsize=9,
+    )
     below.legend(fontsize=7, ncol=2, loc="best")
     figure.suptitle(fill(title, 110), fontsize=10)
     save(figure, path)

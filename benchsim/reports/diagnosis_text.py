@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import exp, isfinite, log
 from textwrap import fill
@@ -46,6 +46,8 @@ class About:
     words : Vocabulary
     moves : mapping of str to (Size, str)
         What an effect of that name, or of a parameter of that name alone, moves, and where or how that is measured.
+    kinds : sequence of str
+        Kind of datum that shows each of the diagnosis' stretches.
     """
 
     title: str
@@ -59,6 +61,7 @@ class About:
     amended: str = ""
     words: Vocabulary = BENCH
     moves: Mapping[str, tuple[Size, str]] = field(default_factory=dict)
+    kinds: Sequence[str] = ()
 
 
 def summary(d: Diagnosis, about: About) -> str:
@@ -82,7 +85,7 @@ def summary(d: Diagnosis, about: About) -> str:
     parts.append(_headline(d, words))
     parts += [_found(f, about) for f in d.effects]
     parts += list(_classes(d, about))
-    parts += list(_where(d, words))
+    parts += list(_where(d, words, about.kinds))
     parts += list(_better(d, words))
     parts += list(_next(d))
     parts += list(_limits(d, about))
@@ -218,7 +221,7 @@ def shown_text(by_kind: Mapping[str, float], words: Vocabulary, stretches: int) 
     return f"It shows in {each}, all {words.one}s together{alone}."
 
 
-def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
+def _where(d: Diagnosis, words: Vocabulary, kinds: Sequence[str]) -> Iterator[str]:
     where = d.location
     if where is None:
         return
@@ -235,8 +238,9 @@ def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     shown = shown_text(where.by_kind, words, len(where.along_trace))
     if shown:
         lines.append(_wrapped(shown, "  "))
-    for s in sorted(where.along_trace, key=lambda s: -s.z)[:6]:
-        lines.append(f"  {s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace, {s.z:.1f} sigma")
+    told = [f", {words.kinds.get(k, (k, ''))[0]}" for k in kinds] or [""] * len(where.along_trace)
+    for s, of in sorted(zip(where.along_trace, told, strict=True), key=lambda pair: -pair[0].z)[:6]:
+        lines.append(f"  {s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace, {s.z:.1f} sigma{of}")
     if len(where.along_trace) > 6:
         lines.append(f"  and weaker stretches: {len(where.along_trace) - 6} (diagnosis.json lists them)")
     if d.law is not None:
@@ -260,8 +264,18 @@ def removed(part: float) -> str:
     return "all" if part > 0.9995 else f"{100 * part:.1f} %"
 
 
+INVISIBLE = "not visible at any plausible size"
+"""Instead of a limit that lies beyond the largest size that an effect is looked for at."""
+
 OVERSTATED = 3.0
 """Sigma below zero at which an excess χ² says that the noise is less than was estimated."""
+
+
+def below_zero(after: float, sigma: float, words: Vocabulary) -> str:
+    """A clause on an excess χ² that noise alone would hardly make negative; empty where it would."""
+    if after > -2 * sigma:
+        return ""
+    return f" (below zero: the noise was estimated larger than that of the {words.setting}s left out)"
 
 
 def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
@@ -288,8 +302,8 @@ def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     start = f"Left out in turn ({held.folds} folds, {held.data} data) and predicted from the other {words.setting}s, "
     if d.verdict == "nothing-missing":
         yield _wrapped(
-            start + f"the recordings miss the prediction by an excess χ² of {before:.0f} ± {held.sigma:.0f} beyond "
-            "noise and setting errors."
+            start + f"the {words.recordings} miss the prediction by an excess χ² of {before:.0f} ± {held.sigma:.0f} "
+            f"beyond noise and setting errors{below_zero(before, held.sigma, words)}."
         )
         return
     text = start + f"the {words.recordings}' misfit beyond noise and setting errors (excess χ²) falls from "
@@ -298,7 +312,7 @@ def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     if after < -OVERSTATED * held.sigma:
         text += "; below zero by more than its scatter, so that the noise is overstated and no gain can be given."
     elif held.fraction_removed is not None and before > 2 * held.sigma:
-        text += f": {removed(held.fraction_removed)} of it is removed."
+        text += f": {removed(held.fraction_removed)} of it is removed{below_zero(after, held.sigma, words)}."
     else:
         text += "; before, it was within its scatter, so that these recordings show no gain."
     yield _wrapped(text)
@@ -339,8 +353,8 @@ def _limits(d: Diagnosis, about: About) -> Iterator[str]:
         words = ", ".join(f"{k.split('.')[0]} ({limit_text(v)})" for k, v in seen.items())
         yield _wrapped(f"Not found, and would have been seen at five sigma had it been as large as: {words}.")
     if blind:
-        start = "Cannot be seen in these recordings at any plausible size (in brackets: from which on it would be): "
-        yield _wrapped(start + "; ".join(f"{k.split('.')[0]} ({limit_text(v)})" for k, v in blind.items()) + ".")
+        start = f"Not visible in these {about.words.recordings} at any plausible size: "
+        yield _wrapped(start + listed(blind_text((k.split(".")[0], v.parameter) for k, v in blind.items())) + ".")
     told = {k.split(".")[0] for k in (*seen, *blind)}
     if shaped := shapes_text([e for e in about.catalogue if e.name in told]):
         yield _wrapped(f"{shaped} at one point of these only, the most probable that was tried.")
@@ -353,6 +367,14 @@ def shapes_text(catalogue: Sequence[Effect]) -> str:
     return f"What is said here of {listed(words)} holds" if words else ""
 
 
+def blind_text(parameters: Iterable[tuple[str, str]]) -> list[str]:
+    """Effects with those of their parameters that cannot be seen: ``drift (along y and along z)``."""
+    own: dict[str, list[str]] = {}
+    for effect, parameter in parameters:
+        own.setdefault(effect, []).append(words_of(parameter))
+    return [f"{effect} ({listed(some)})" for effect, some in own.items()]
+
+
 def limit_text(v: Limit) -> str:
     """``bow along z: 0.0042 1/m``."""
     return f"{words_of(v.parameter)}: {_five_sigma(v)}"
@@ -360,14 +382,14 @@ def limit_text(v: Limit) -> str:
 
 def size_text(v: Limit) -> str:
     """``bow_z = 0.0042 1/m``, as files have it."""
-    if not isfinite(v.five_sigma):
-        return f"{v.parameter}: no size is enough"
+    if not v.reachable:
+        return f"{v.parameter}: {INVISIBLE}"
     return f"{v.parameter} = {_short(v.five_sigma)} {unit_text(v.unit)}".rstrip()
 
 
 def _five_sigma(v: Limit) -> str:
-    if not isfinite(v.five_sigma):
-        return "no size is enough"
+    if not v.reachable:
+        return INVISIBLE
     factor, unit = readable(v.unit, v.five_sigma)
     return f"{_short(factor * v.five_sigma)} {unit}".rstrip()
 

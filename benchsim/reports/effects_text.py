@@ -108,8 +108,7 @@ def isolability(p: Plan) -> str:
                     lines.append(f"  {'':<22}{size_text(other)}")
     lines.append("")
     if blind:
-        words = [f"{n} ({size_text(p.limits[n])} needed)" if n in p.limits else n for n in blind]
-        lines.append(_paragraph("Cannot be seen at any plausible size", words))
+        lines.append(_paragraph("Not visible at any plausible size", blind))
     if p.shaped:
         lines.append(_paragraph_of(f"{p.shaped} at one point of these only, the middle of their range."))
     pairs = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -52,6 +52,30 @@ class _Residuals(Form):
     held_out_after: Numbers
 
 
+class _Most(Form):
+    s_mm: list[Number] | None = None
+    before: Numbers = Field(default_factory=list)
+    after: Numbers = Field(default_factory=list)
+    held_out_before: Numbers = Field(default_factory=list)
+    held_out_after: Numbers = Field(default_factory=list)
+    sigma: list[Number] = Field(default_factory=list)
+    sigma_alone: list[Number] = Field(default_factory=list)
+    at_px: Points | None = None
+    before_px: Points = Field(default_factory=list)
+    after_px: Points = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _as_long(self) -> _Most:
+        if self.s_mm is None and self.at_px is None:
+            raise ValueError("neither s_mm nor at_px is there")
+        along = (self.before, self.after, self.held_out_before, self.held_out_after, self.sigma, self.sigma_alone)
+        if self.s_mm is not None and (not self.s_mm or any(len(x) != len(self.s_mm) for x in along)):
+            raise ValueError("its lists are not all as long as s_mm")
+        if self.at_px is not None and not len(self.at_px) == len(self.before_px) == len(self.after_px):
+            raise ValueError("at_px, before_px and after_px are not of one length")
+        return self
+
+
 class _Exposure(Form):
     exposure: Text
     setting: Text
@@ -67,6 +91,7 @@ class _Exposure(Form):
     sigma_alone_mm: Numbers
     profiles: Annotated[int, Field(ge=1, le=10**9)] | None = None
     departures: dict[Text, _Size] = Field(default_factory=dict)
+    most: _Most | None = None
 
     @model_validator(mode="after")
     def _as_long(self) -> _Exposure:
@@ -102,6 +127,15 @@ class Page(Form):
     exposures: list[_Exposure]
     moves: dict[Text, _Moved] = Field(default_factory=dict)
     priors: dict[Text, _Prior] = Field(default_factory=dict)
+    most: Literal["w", "f", "g", "m"] | None = None
+    stretches: list[Text] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _of_the_kind(self) -> Page:
+        key = "at_px" if self.most == "m" else "s_mm"
+        if self.most and any(x.most and getattr(x.most, key) is None for x in self.exposures):
+            raise ValueError(f"most: {self.most!r} needs {key}")
+        return self
 
 
 def _with_own(versions: dict[str, str]) -> dict[str, str]:

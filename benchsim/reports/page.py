@@ -20,7 +20,12 @@ do not hold, the mapping in ``page.json``::
                     "residual_mm": {"before": […], "after": […], "held_out_before": […], "held_out_after": […]},
                     "sigma_mm": […], "sigma_alone_mm": […],    # with and without what neighbours have in common
                     "profiles": 1101,                          # optional: of the trace; each point is the mean of some
-                    "departures": {"laser_azimuth": {"value": −0.4, "sigma": 0.2, "unit": "mrad"}}}], # optional
+                    "departures": {"laser_azimuth": {"value": −0.4, "sigma": 0.2, "unit": "mrad"}},  # optional
+                    "most": {"s_mm": […], "before": […], "after": […], "held_out_before": […],  # optional, see below
+                             "held_out_after": […], "sigma": […], "sigma_alone": […]}}],
+     "most": "f",                                              # optional: kind of datum that shows most, if not "c";
+                                                               # of "m" an exposure has "at_px", "before_px", "after_px"
+     "stretches": ["f", "w"],                                  # optional: what shows each of location.along_trace
      "moves": {"screen-bow": {"value": 0.8, "sigma": 0.01, "unit": "mm", "how": "rms"}}, # optional: effect, parameter
      "priors": {"s1.laser_azimuth": {"sigma": 1.0, "unit": "mrad"}}} # optional: of what is fitted in every hypothesis
 """
@@ -36,6 +41,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from benchsim.bench.complaints import UNFILLED
 from benchsim.reports import page_field, page_plots, page_trial, page_words, vocabulary
 
 FORMAT = "benchsim-page/1"
@@ -91,7 +97,8 @@ def diagnosis_page(
         pixels=pixels,
         words=page_words.diagnosis(diagnosis, extra),
         elements=page_words.probabilities(diagnosis, extra),
-        **_recording(extra, photographs, stamp),
+        most=_most(extra),
+        **_recording(extra, photographs, stamp, strongest=_strongest(diagnosis)),
     )  # fmt: skip
 
 
@@ -150,14 +157,73 @@ def field_page(field: Mapping[str, Any], title: str, shared: Sequence[str]) -> s
     )
 
 
+def form_page(title: str, folder: str, file: str, form: Mapping[str, Any], column: int) -> str:
+    """HTML in which a recording that was begun is filled in; it writes the file's text.
+
+    Parameters
+    ----------
+    title, folder, file : str
+        The recording's name, and where its file lies.
+    form : mapping
+        As `intake.form.shown` has it.
+    column : int
+        In which comments begin.
+    """
+    return _environment().get_template("form.html.j2").render(
+        title=title, folder=folder, file=file, column=column, open=UNFILLED, **form
+    )  # fmt: skip
+
+
+def _strongest(diagnosis: Mapping[str, Any]) -> dict[str, float]:
+    """Exposure → sigma of its strongest stretch: the photographs come in the order in which stretches are listed."""
+    out: dict[str, float] = {}
+    for s in (diagnosis["location"] or {}).get("along_trace", ()):
+        out[s["exposure"]] = max(s["z"], out.get(s["exposure"], 0.0))
+    return out
+
+
+def _most(extra: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Drawings of the kind of datum that shows most of what was found; None where that is the trace's own place."""
+    kind = extra.get("most")
+    shown = [x for x in extra["exposures"] if x.get("most")]
+    if kind is None or not shown:
+        return None
+    if kind == "m":
+        factor = page_plots.enlarged_marks(shown)
+        figures = [page_plots.marks(x, factor) for x in shown]
+    else:
+        factor, words = None, vocabulary.BENCH.of_kind(kind)
+        rows = [
+            {
+                **{key: x[key] for key in ("exposure", "setting", "same")},
+                "s_mm": x["most"]["s_mm"],
+                "residual_mm": x["most"],
+                "sigma_mm": x["most"]["sigma"],
+                "sigma_alone_mm": x["most"]["sigma_alone"],
+            }
+            for x in shown
+        ]
+        reach = page_plots.reach(rows)
+        figures = [page_plots.residuals(row, reach, words=words) for row in rows]
+    named = zip(shown, figures, strict=True)
+    return {
+        "factor": factor,
+        "figures": [{"name": x["exposure"], "setting": x["setting"], "figure": figure} for x, figure in named],
+    }
+
+
 def _recording(
-    extra: Mapping[str, Any], photographs: Mapping[str, bytes], stamp: Mapping[str, Any], before: bool = True
+    extra: Mapping[str, Any],
+    photographs: Mapping[str, bytes],
+    stamp: Mapping[str, Any],
+    before: bool = True,
+    strongest: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """What every page of a recording shows: pictures with curves, and residuals, those before only where wanted."""
     exposures = extra["exposures"]
     factor = enlarged(exposures)
     pictures = [_picture(x, photographs[x["photograph"]], factor) for x in exposures if x["photograph"] in photographs]
-    pictures.sort(key=lambda p: -p["worst"])
+    pictures.sort(key=lambda p: (-(strongest or {}).get(p["name"], 0.0), -p["worst"]))
     reach = page_plots.reach(exposures, before)
     return {
         "extra": extra,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, floor, isfinite, log10
+from math import ceil, floor, hypot, isfinite, log10
 from typing import Any
 
 from markupsafe import Markup, escape
@@ -20,6 +20,9 @@ LEFT, RIGHT, TOP = 46, 8, 24
 
 FINE = 0.15
 """Distances of fewer mm are written in µm."""
+
+MARKS_REACH = 0.08
+"""Largest displacement of a mark in a drawing, as a part of its diagonal: some of the distance between marks."""
 
 Numbers = Sequence[float | None]
 
@@ -141,10 +144,9 @@ def residuals(exposure: Mapping[str, Any], reach: float, earlier: bool = True, w
         first = top + k * (tall + gap)
         sigma = exposure["sigma_mm"]
         y = Scale(-reach, reach, first + tall, first)
-        factor, unit = (1e3, "µm") if reach < FINE and words is BENCH else (1.0, words.unit)
-        body += _axis_y(
-            y, [v / factor for v in ticks(-factor * reach, factor * reach, 5)], first, f"{word} ({unit})", factor
-        )
+        factor, unit = (1e3, "µm") if reach < FINE and words.unit == "mm" else (1.0, words.unit)
+        label = f"{word} ({unit})" if unit else word
+        body += _axis_y(y, [v / factor for v in ticks(-factor * reach, factor * reach, 5)], first, label, factor)
         body.append(_band(x, y, s, sigma, "band"))
         body.append(_band(x, y, s, exposure["sigma_alone_mm"], "band alone"))
         body.append(_line(x.start, y(0.0), x.end, y(0.0), "zero"))
@@ -154,17 +156,57 @@ def residuals(exposure: Mapping[str, Any], reach: float, earlier: bool = True, w
         b, a = _rms(before), _rms(after)
         if a is not None:
             start = f"{b:.2g} before, " if b is not None and earlier else ""
-            said.append(f"{word}: rms {start}{a:.2g} {words.unit}{' after' if start else ''}")
+            said.append(f"{word}: rms {start}{a:.2g} {words.unit}".rstrip() + (" after" if start else ""))
     bottom = top + len(panels) * (tall + gap) - gap
     body += _axis_x(x, ticks(min(s), max(s), 6), bottom, words.along)
-    name = f"{exposure['exposure']}, setting {exposure['setting']}" if words is BENCH else exposure["exposure"]
-    over = f" over {max(s) - min(s):.0f} mm" if words is BENCH else ""
+    bench = words.one == BENCH.one
+    name = f"{exposure['exposure']}, setting {exposure['setting']}" if bench else exposure["exposure"]
+    over = f" over {max(s) - min(s):.0f} mm" if bench else ""
     return _svg(
         bottom + 34,
         body,
         f"{name}: {words.distance}",
         f"{'; '.join(said)}. {len(s)} points{over}.",
     )
+
+
+def enlarged_marks(exposures: Iterable[Mapping[str, Any]]) -> float:
+    """Round factor by which the largest displacement of a mark is a part of its frame that is seen."""
+    most = max(
+        (
+            hypot(*v) / hypot(*x["size_px"])
+            for x in exposures
+            for key in ("before_px", "after_px")
+            for v in x["most"][key]
+        ),
+        default=0.0,
+    )
+    return max(nice(MARKS_REACH / most), 1.0) if most > 0 else 1.0
+
+
+def marks(exposure: Mapping[str, Any], factor: float) -> Markup:
+    """From where each mark is predicted to where it is seen, in the frame of its photograph, before and after.
+
+    Parameters
+    ----------
+    exposure : mapping
+        One of ``exposures`` of ``page.json`` with ``most`` of marks (see `report.page`).
+    factor : float
+        By which displacements are drawn too large.
+    """
+    wide, tall = exposure["size_px"]
+    scale, seen = WIDTH / wide, exposure["most"]
+    body, said = [f'<rect class="frame" width="{WIDTH}" height="{_n(scale * tall)}"/>'], []
+    for key, word, kind in (("before_px", "before", "before"), ("after_px", "after", "after")):
+        path = "".join(
+            f"M{_n(scale * u)} {_n(scale * v)}l{_n(scale * factor * a)} {_n(scale * factor * b)}"
+            for (u, v), (a, b) in zip(seen["at_px"], seen[key], strict=True)
+        )
+        body.append(f'<path class="{kind} shift" d="{path}"/>')
+        rms = _rms([hypot(*v) for v in seen[key]])
+        said.append(f"{word}: rms {rms or 0.0:.2g} px")
+    name = f"{exposure['exposure']}, setting {exposure['setting']}"
+    return _svg(scale * tall, body, f"{name}: displacement of its marks", f"{'; '.join(said)}.")
 
 
 def _points(x: Scale, y: Scale, at: Sequence[float], values: Numbers) -> list[tuple[float, float]]:

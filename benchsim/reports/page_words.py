@@ -9,8 +9,11 @@ from typing import Any
 from benchsim.diagnosis.result import Size
 from benchsim.reports.conclusion import CONFIDENCE, SETTINGS, gathered, headline, leftover, listed
 from benchsim.reports.diagnosis_text import (
+    INVISIBLE,
     OVERSTATED,
     SIMULATION,
+    below_zero,
+    blind_text,
     number,
     odds,
     percent,
@@ -61,7 +64,9 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
         "left_out": _left_out(d, words),
         "settings": _settings(d, words),
         "seen": [_limit(k, v) for k, v in limits if v["reachable"]],
-        "blind": [_limit(k, v) for k, v in limits if not v["reachable"]],
+        "blind": listed(blind_text((k.split(".")[0], v["parameter"]) for k, v in limits if not v["reachable"])),
+        "most": most(d, extra),
+        "stretches": _stretches(d, extra, words),
         "moves": extra.get("moves", {}),
         "notes": gathered([*d["remarks"], *d["notes"]]),
         "fitted": _fitted(d, extra),
@@ -81,6 +86,23 @@ def _where(d: Json, words: Vocabulary) -> str:
         text = f"Most likely {at}; {sure} over the next element do not settle it."
     # A diagnosis of before this was told has no ``by_kind``.
     return f"{text} {shown_text(w.get('by_kind', {}), words, len(w['along_trace']))}".rstrip()
+
+
+def most(d: Json, extra: Json) -> dict[str, Any] | None:
+    """The kind of datum that shows most of what was found, with its words, where that is not the trace's own place."""
+    kind = extra.get("most")
+    if kind is None:
+        return None
+    name, unit = of(extra).kinds.get(kind, (kind, ""))
+    return {"kind": kind, "name": name, "unit": unit, "sigma": d["location"]["by_kind"][kind]}
+
+
+def _stretches(d: Json, extra: Json, words: Vocabulary) -> list[tuple[Json, str]]:
+    """The stretches, the strongest first, each with the words of the kind of datum that shows it."""
+    found = d["location"]["along_trace"] if d["location"] else []
+    kinds = [words.kinds.get(k, (k, ""))[0] for k in extra.get("stretches") or []]
+    told = kinds if len(kinds) == len(found) else [""] * len(found)
+    return sorted(zip(found, told, strict=True), key=lambda pair: -pair[0]["z"])
 
 
 def _law(d: Json, words: Vocabulary) -> str:
@@ -104,7 +126,8 @@ def _left_out(d: Json, words: Vocabulary) -> str:
     start += "others. "
     before, after, sigma = h["excess_chi2_before"], h["excess_chi2_after"], h["sigma"]
     if d["verdict"] == "nothing-missing":
-        return start + f"Beyond noise and setting errors they miss by an excess χ² of {_chi2(before)} ± {sigma:.0f}."
+        missed = f"Beyond noise and setting errors they miss by an excess χ² of {_chi2(before)} ± {sigma:.0f}"
+        return f"{start}{missed}{below_zero(before, sigma, words)}."
     text = start + (
         f"Their misfit beyond noise and setting errors (excess χ²) falls from {_chi2(before)} to {_chi2(after)} "
         f"(± {sigma:.0f})"
@@ -112,7 +135,7 @@ def _left_out(d: Json, words: Vocabulary) -> str:
     if after < -OVERSTATED * sigma:
         return text + "; below zero by more than its scatter: the noise is overstated, and no gain can be given."
     if h["fraction_removed"] is not None and before > 2 * sigma:
-        return text + f": {removed(h['fraction_removed'])} of it is removed."
+        return text + f": {removed(h['fraction_removed'])} of it is removed{below_zero(after, sigma, words)}."
     return text + "; before, it was within its scatter, so that these recordings show no gain."
 
 
@@ -151,8 +174,8 @@ def place(p: float) -> float:
 def _limit(key: str, v: Json) -> tuple[str, str, str, str]:
     """Effect, parameter, size and unit of a limit."""
     effect, parameter, size = key.split(".")[0], v["parameter"], v["five_sigma"]
-    if size is None:
-        return effect, parameter, "no size is enough", ""
+    if size is None or not v["reachable"]:
+        return effect, parameter, INVISIBLE, ""
     factor, unit = readable(v["unit"], size)
     return effect, parameter, short(factor * size), unit
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,11 @@ class Vocabulary:
     unit: str
     along: str
     distance: str
+
+    def of_kind(self, kind: str) -> Vocabulary:
+        """The same for residuals of another kind of datum than the first."""
+        name, unit = self.kinds[kind]
+        return replace(self, unit=unit, distance=f"{name} less its prediction")
 
 
 BENCH = Vocabulary(

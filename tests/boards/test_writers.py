@@ -30,7 +30,9 @@ def board(tmp_path_factory):
 def raster(board):
     page = pdfium.PdfDocument(board.folder / "board.pdf")[0]
     size = np.array(page.get_size()) * 25.4 / 72
-    return page.render(scale=300 / 72, grayscale=True).to_numpy(), size
+    # The oldest pypdfium2 has a third axis of length one.
+    grey = page.render(scale=300 / 72, grayscale=True).to_numpy()
+    return grey.reshape(grey.shape[:2]), size
 
 
 def test_the_page_is_a4_and_marks_lie_where_the_table_says(board, raster):

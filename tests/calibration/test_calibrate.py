@@ -142,7 +142,7 @@ def test_only_a_camera_file_is_overwritten(photographs, tmp_path):
 def small(path, size=(64, 48), **tags):
     image = Image.fromarray(np.random.default_rng(1).integers(0, 255, (*size[::-1], 3), np.uint8))
     exif = Image.Exif()
-    exif.get_ifd(0x8769).update(tags)
+    exif[0x8769] = tags
     image.save(path, exif=exif)
     return path
 
@@ -166,7 +166,7 @@ def test_a_lens_that_was_changed_is_refused_by_what_the_phone_says(tmp_path, pho
         image = Image.open(path)
         image.load()
         exif = Image.Exif()
-        exif.get_ifd(0x8769).update(one)
+        exif[0x8769] = one
         image.save(path, exif=exif)
     with pytest.raises(BenchsimError, match=says):
         jobs.calibrate(paths, tmp_path / "c.toml", board=photographs / "marks.csv")

@@ -32,7 +32,7 @@ def save(path, counts, seconds=0.0, **tags):
         "zoom": 1.0, "time": (BEGIN + timedelta(seconds=seconds)).strftime("%Y:%m:%d %H:%M:%S"),
     } | tags  # fmt: skip
     exif = Image.Exif()
-    own = exif.get_ifd(0x8769)
+    own = exif[0x8769] = {}
     for key, value in said.items():
         if value is not None:
             (exif if key in TOP else own)[TOP.get(key) or EXIF[key]] = value

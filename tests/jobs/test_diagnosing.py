@@ -345,7 +345,7 @@ def test_isolability_before_any_data(plan, small_bench, tmp_path):
     plain = json.loads(json.dumps(plan.as_dict(), allow_nan=False))
     assert plain["at_cap_sigma"].keys() == plain["separation_sigma"].keys()
     blind = {n for n in plan.at_cap if not any(v.reachable for k, v in plan.limits.items() if k.split(".")[0] == n)}
-    assert blind and all(n in text.split("Cannot be seen")[1] for n in blind)
+    assert blind and all(n in text.split("Not visible at any plausible size")[1] for n in blind)
 
 
 def test_workers_and_this_process_give_the_same_limits(plan, small_bench, monkeypatch):

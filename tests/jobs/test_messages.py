@@ -135,7 +135,7 @@ def with_exif(*taken):
 def jpeg(light, path, seconds=0, **said):
     exif = Image.Exif()
     exif[0x0110] = said.pop("model", "P1")
-    own = exif.get_ifd(0x8769)
+    own = exif[0x8769] = {}
     own[0x9003] = (datetime(2026, 5, 4, 9) + timedelta(seconds=seconds)).strftime("%Y:%m:%d %H:%M:%S")
     for tag, number in {"time": 0x829A, "focal_35mm": 0xA405, "rendered": 0xA401}.items():
         if tag in said:

@@ -40,3 +40,10 @@ def test_the_folder_answers_when_asked(made):
 def test_no_answer_where_no_sample_lies(tmp_path):
     with pytest.raises(bs.BenchsimError, match="no sample lies there; make one"):
         bs.sample(tmp_path, answer=True)
+
+
+def test_an_older_sample_is_not_replaced(tmp_path):
+    (tmp_path / "recording.toml").write_text("# filled in\n")
+    with pytest.raises(bs.BenchsimError, match="lies there already; name another folder, or remove it"):
+        bs.sample(tmp_path)
+    assert (tmp_path / "recording.toml").read_text() == "# filled in\n"

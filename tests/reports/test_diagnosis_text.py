@@ -48,7 +48,7 @@ def test_nothing_missing_lists_every_limit_and_says_which_effects_could_not_be_s
     table = text.split("had it been as large as:")[1].split("\n\n")[0]
     for name, limit in made.diagnosis.limits.items():
         assert (name in table) == limit.reachable
-    blind = next(p for p in text.split("\n\n") if p.startswith("Cannot be seen"))
+    blind = next(p for p in text.split("\n\n") if p.startswith("Not visible in these recordings at any plausible"))
     assert "window" in blind and "canting" not in blind
 
 
@@ -71,7 +71,7 @@ def test_physics_in_doubt_comes_with_its_limit_where_it_was_not_found(made, verd
         text = " ".join(summary(replace(verdicts[verdict], limits=limits), known).split())
         start = "Not found, and would have been seen at five sigma had it been as large as: "
         assert f"{start}facets (share of the facets: 0.11), finite-beam (share of the beam: 0.22)." in text
-        assert "diffraction (share of the diffraction: 1.4)" in text and "lean of every facet" not in text
+        assert "size: diffraction (share of the diffraction)." in text and "lean of every facet" not in text
     rivals = replace(verdicts["class"].classes[0], members=(("facets",), ("finite-beam", "drift")))
     text = summary(replace(verdicts["class"], limits=limits, classes=(rivals,)), known)
     assert "Not found" not in text, "what may be there is not said to be absent"
@@ -150,3 +150,15 @@ def test_marks_that_were_left_out_are_one_remark_with_the_cause(made):
     assert "- One setting. - 3 marks lie off their neighbours, taken as mismeasured (a fault of the board" in text
     assert "and left out: 4, 7 in 001.png; 9 in 003.png. - Last." in text
     assert "1 mark lies off its neighbours" in summary(made.diagnosis, about(made, remarks=lone[:1]))
+
+
+def test_a_negative_excess_is_explained(made):
+    held = replace(made.diagnosis.held_out, excess_chi2_after=-100.0)
+    text = " ".join(summary(replace(made.diagnosis, held_out=held), about(made)).split())
+    assert "is removed (below zero: the noise was estimated larger than that of the settings left out)." in text
+    assert "below zero" not in summary(made.diagnosis, about(made))
+
+
+def test_stretches_name_their_observable(made):
+    text = summary(made.diagnosis, about(made, kinds=("f", "c")))
+    assert "  001.png: from 10 to 120 mm along the trace, 7.1 sigma, logarithm of the flux\n" in text

@@ -21,9 +21,9 @@ from benchsim import jobs
 from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.errors import BenchsimError
 from benchsim.cli import app
-from benchsim.diagnosis.result import Law
+from benchsim.diagnosis.result import Law, Stretch
 from benchsim.jobs import exhibits
-from benchsim.reports import page, page_plots, page_trial, page_words
+from benchsim.reports import forms, page, page_plots, page_trial, page_words
 
 VOID = {"meta", "link", "img", "input", "br", "hr", "col", "source", "wbr"}
 
@@ -154,7 +154,7 @@ def test_a_named_effect_comes_with_size_remedy_place_and_what_settings_left_out_
         "3 folds, 816 data",
         "from 5120 to 60 (± 41): 98.8 % of it is removed",
         "Roll the screen by 180° and repeat setting s1. It separates what is still open by 9.4 sigma",
-        "window (win_1: 0.770 mm)",
+        "Not visible in these recordings at any plausible size: window (win_1).",
     ):
         assert words in text, words
 
@@ -214,7 +214,8 @@ def test_distances_are_enlarged_by_one_round_factor_that_is_said(made, photograp
     html = page.diagnosis_page(made.plain(made.diagnosis), extra, photographs, STAMP)
     assert f"is drawn {factor:g} times as large as it is" in Page(html).text
     drawn = np.array([p.split() for p in re.search(r'class="before" d="M([^"]+)"', html)[1].split("L")], float)
-    worst = max(extra["exposures"], key=lambda x: np.max(np.abs(x["residual_mm"]["before"])))
+    strongest = max(made.diagnosis.location.along_trace, key=lambda s: s.z)
+    worst = next(x for x in extra["exposures"] if x["exposure"] == strongest.exposure)
     away = np.linalg.norm(drawn - np.array(worst["measured_px"]), axis=1)
     assert away == pytest.approx(factor * np.abs(worst["residual_mm"]["before"]), abs=0.15)
 
@@ -443,3 +444,68 @@ def test_a_folder_that_cannot_be_shown_is_told_with_the_mend(made, photographs, 
     with pytest.raises(BenchsimError, match=r"diagnosis\.json: is no JSON"):
         jobs.report(folder)
     assert not (folder / "report.html").exists()
+
+
+def test_photographs_come_in_the_order_in_which_stretches_are_listed(made, photographs):
+    html = page.diagnosis_page(made.plain(made.diagnosis), made.beside(), photographs, STAMP)
+    listed = re.findall(r"<tr><td>(\d+\.png)</td>", html)
+    shown = re.findall(r'<label for="picture-\d+">(\S+)', html)
+    assert listed == ["001.png", "003.png"] == shown[:2]
+
+
+def beside_most(made, kind):
+    """``page.json`` of what a kind of datum shows most, as the job writes it."""
+    extra, problem = made.beside(), made.problem
+    for b, row in enumerate(extra["exposures"]):
+        at = np.flatnonzero((problem.block == b) & (problem.kind == kind))
+        marks = np.column_stack([np.linspace(20, 380, 20), np.linspace(10, 290, 20)])
+        row["most"] = exhibits._of_kind(problem, made.diagnosis, b, kind, marks, np.ones(problem.rows(b).stop))
+        assert len(at) == (2 * len(row["most"]["at_px"]) if kind == "m" else len(row["most"]["s_mm"]))
+    return {**extra, "most": kind, "stretches": ["f", "c"]}
+
+
+@pytest.mark.parametrize(("kind", "words"), [("f", "logarithm of the flux"), ("m", "marks")])
+def test_the_first_picture_is_of_what_shows_most(made, photographs, kind, words):
+    extra = json.loads(json.dumps(beside_most(made, kind)))
+    shown = {"c": 1.0, kind: 21.4}
+    d = replace(made.diagnosis, location=replace(made.diagnosis.location, by_kind=shown))
+    assert exhibits.most(d) == kind
+    forms.checked(forms.Page, Path("page.json"), extra)
+    html = page.diagnosis_page(made.plain(d), extra, photographs, STAMP)
+    p = Page(html)
+    assert p.faults == []
+    assert html.index(f"Where it shows most: {words}") < html.index('class="viewer"') < html.index('id="residuals"')
+    assert f"{words} {'show' if kind == 'm' else 'shows'} most of what was found, 21.4 sigma" in p.text
+    assert html.count("<figcaption>") == 12, "and the centre line further down"
+    assert "<td>001.png</td><td>logarithm of the flux</td>" in html
+
+
+def test_a_verdict_that_the_centre_line_shows_most_begins_with_the_photographs(made):
+    d = made.diagnosis
+    assert exhibits.most(replace(d, location=replace(d.location, by_kind={"c": 11.0, "f": 4.0}))) == "c"
+    assert exhibits.most(replace(d, location=None)) == "c"
+
+
+def test_stretches_say_which_datum_shows_them(made):
+    """Width and flux have data at the same places: the flux, with the larger misfit, and then the width."""
+    problem, r, d = made.problem, made.diagnosis.residuals, made.diagnosis
+    rows = problem.rows(0)
+    s = np.unique(problem.position[rows][problem.kind[rows] == "f"])
+    flux = np.where((problem.block == 0) & (problem.kind == "f"), 9 * r.sigma, 0.0)
+    same = Stretch("001.png", float(s[2]), float(s[9]), 8.0)
+    centre = np.unique(problem.position[rows][problem.kind[rows] == "c"])
+    own = Stretch("001.png", float(centre[1]), float(centre[6]), 5.0)
+    location = replace(d.location, along_trace=(same, own, replace(same, z=4.0)))
+    found = replace(d, location=location, residuals=replace(r, before=r.after + flux))
+    assert exhibits.stretch_kinds(problem, found)[:2] == ("f", "c")
+    assert exhibits.stretch_kinds(problem, found)[2] in ("c", "w")
+
+
+def test_a_folder_without_a_page_says_what_to_open(tmp_path):
+    (tmp_path / "benchsim.json").write_text(json.dumps({"command": "flux"}))
+    for name in ("summary.txt", "field.png", "flux-tower.png", "flux.json"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(
+        BenchsimError, match=r"of 'benchsim flux' no page is made; open field\.png, flux-tower\.png, sum"
+    ):
+        jobs.report(tmp_path)

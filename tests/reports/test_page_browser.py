@@ -12,12 +12,15 @@ import os
 import re
 import shutil
 import subprocess
+import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from benchsim import jobs
+from benchsim.bench.files import complaints, read
 from benchsim.bench.writing import write_text
 from benchsim.reports import page
 
@@ -276,3 +279,76 @@ def test_without_scripts_both_pictures_stand_there(browser, report):
     right = (np.abs(b - 0x8A) < 30) & (np.abs(g - 0xE0) < 30) & (np.abs(r - 0x4F) < 40)
     assert left[rows].sum() > 100 and right[rows].sum() > 100
     assert np.median(np.nonzero(left[rows])[1]) + 200 < np.median(np.nonzero(right[rows])[1])
+
+
+ANSWERS = {
+    "wavelength_nm": "650", "beam_diameter_mm": "7,5", "divergence_mrad": "1.5", "shape": "polygon", "facets": "12",
+    "diameter_mm": "35", "height_mm": "2.0", "stands_for": "elevation", "size_mm": "700, 700",
+    "laser_azimuth_deg": "101", "laser_elevation_deg": "50", "mirror_position_mm": "1500 -160 -1430",
+}  # fmt: skip
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A recording of a grey photograph and its dark picture, begun with its form."""
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for k in (1, 2):
+        cv2.imwrite(str(photos / f"{k}.jpg"), np.full((240, 320), 60 * k, np.uint8))
+    marks = ROOT / "scenes" / "marks.csv"
+    return jobs.new(tmp_path / 'a "bench"', [photos], marks=marks, form=True).folder
+
+
+def put(browser, key, value, which=""):
+    """Write a value into every field of a key, as typing does, and return what is said beside them."""
+    return browser.value(
+        f"""[...document.querySelectorAll(".field{which}")].filter(f => f.innerText.startsWith("{key}")).map(f => {{
+          const control = f.querySelector("input, select");
+          control.value = {json.dumps(value)};
+          control.dispatchEvent(new Event("input", {{bubbles: true}}));
+          return f.querySelector("strong").textContent;
+        }})"""
+    )
+
+
+def test_a_form_that_is_filled_in_downloads_a_file_that_is_read(browser, begun, tmp_path):
+    browser.show(begun / "form.html")
+    assert asked(browser) == ([], [])
+    open_ = [key for key, mend in complaints(begun / "recording.toml") if "not filled in" in mend]
+    state = "document.getElementById('state').textContent"
+    assert browser.value(state) == f"{len(open_)} open"
+    # Nothing is lost of what was begun: the file as it is downloaded untouched reads alike.
+    (begun / "recording.toml").write_text(browser.value("assembled()"), encoding="utf-8")
+    assert [key for key, mend in complaints(begun / "recording.toml") if "not filled in" in mend] == open_
+    for key, value in ANSWERS.items():
+        said = put(browser, key, value, ".open-field")
+        assert said and set(said) == {""}, key
+    # A text and a focal length that no photograph without EXIF tells.
+    put(browser, "title", 'five "settings"')
+    put(browser, "focal_px", "300")
+    assert browser.value(state) == "all filled in"
+    browser("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path / "down"))
+    browser.value("document.getElementById('download').click()")
+    file = tmp_path / "down" / "recording.toml"
+    end = time.monotonic() + 20
+    while not file.exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    (begun / "recording.toml").write_bytes(file.read_bytes())
+    assert complaints(begun / "recording.toml") == []
+    recording = read(begun, images=True)
+    assert recording.title == 'five "settings"' and recording.laser.beam_diameter == 7.5
+    assert [e.laser_azimuth for e in recording.exposures] == pytest.approx([np.radians(101)])
+
+
+def test_a_form_says_what_the_reader_would(browser, begun):
+    browser.show(begun / "form.html", 390)
+    assert browser.value("document.documentElement.scrollWidth") <= 390
+    assert put(browser, "wavelength_nm", "99") == [" ✗ must be at least 100 nm"]
+    assert put(browser, "laser_elevation_deg", "91") == [" ✗ must be at most 90 deg"]
+    assert put(browser, "facets", "12.5") == [" ✗ write a whole number"]
+    assert put(browser, "size_mm", "700") == [" ✗ 2 numbers, as 1.5, 2, 3"]
+    assert put(browser, "beam_diameter_mm", "wide") == [" ✗ write a number, with a point"]
+    assert "5 to be mended" in browser.value("document.getElementById('state').textContent")
+    assert put(browser, "shape", "cylinder") == [""] and put(browser, "facets", "-") == [""]
+    assert "facets" not in browser.value("assembled()").split("[screen]")[0].replace("facets,", "")
+    browser.picture("form-phone")

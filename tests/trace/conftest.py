@@ -28,7 +28,10 @@ def board_points(camera, rotation, translation, pixels):
     k = np.array([[f, 0, cu], [0, f, cv], [0, 0, 1.0]])
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
     flat = np.ascontiguousarray(pixels[:, None], float)
-    ray = cv2.undistortPoints(flat, k, np.array(camera.distortion), None, None, None, criteria)
+    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
+        ray = cv2.undistortPointsIter(flat, k, np.array(camera.distortion), None, None, criteria)
+    else:
+        ray = cv2.undistortPoints(flat, k, np.array(camera.distortion), None, None, None, criteria)
     homography = np.linalg.inv(np.column_stack([rotation[:, 1], rotation[:, 2], translation]))
     q = np.column_stack([ray[:, 0], np.ones(len(ray))]) @ homography.T
     return q[:, :2] / q[:, 2:]
