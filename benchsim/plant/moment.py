@@ -21,6 +21,27 @@ NOTHING: Mapping[str, Array] = {}
 
 
 @dataclass(frozen=True)
+class Noise:
+    """Standard errors of a Monte Carlo.
+
+    Attributes
+    ----------
+    power : (n,)
+        Of each heliostat's power [W].
+    flux : tuple of (along, up) arrays
+        Of each receiver's cells [W/m²].
+    rays : int
+    accuracy : float
+        Relative, of a receiver's power or its brightest cell, the larger.
+    """
+
+    power: Array
+    flux: tuple[Array, ...]
+    rays: int
+    accuracy: float
+
+
+@dataclass(frozen=True)
 class Moment:
     """A plant at one moment, of n heliostats.
 
@@ -62,6 +83,8 @@ class Moment:
     flux: tuple[Array, ...]
     meshes: tuple[Mesh, ...]
     grid: float
+    received: Array
+    noise: Noise | None = None
 
     @property
     def spillage(self) -> Array:
@@ -151,7 +174,9 @@ def moment(
         maps.append(total.reshape(mesh.shape))
     whole = f.area * np.maximum(cosine, 1e-12)
     caught, rough = np.clip(caught / whole, 0, 1), rough / whole
+    power = reflected * (1 - shaded - blocked) * through * caught
+    received = np.bincount(f.receiver, power, len(plant.receivers))
     return Moment(
-        s, irradiance, cosine, shaded, blocked, through, caught, reflected * (1 - shaded - blocked) * through * caught,
-        reflected, beams.image_rms, place, tuple(maps), grids, float(np.abs(caught - rough).max()),
+        s, irradiance, cosine, shaded, blocked, through, caught, power, reflected, beams.image_rms, place, tuple(maps),
+        grids, float(np.abs(caught - rough).max()), received,
     )  # fmt: skip
