@@ -59,6 +59,8 @@ class Mirrors:
         Focal length of the facets, where their axes meet, and how far away the receiver is.
     passed : (n,)
         By which what they reflect is multiplied: reflectance and air.
+    specularity : (n,)
+        Standard deviation of the reflected ray in one direction [rad].
     """
 
     position: Array
@@ -70,11 +72,12 @@ class Mirrors:
     canting: Array
     reach: Array
     passed: Array
+    specularity: Array
 
 
 @dataclass(frozen=True)
 class Light:
-    """Where light comes from and how mirrors scatter it.
+    """Where light comes from, and the slopes of all mirrors.
 
     Attributes
     ----------
@@ -83,14 +86,13 @@ class Light:
     angles : (k,)
         From its centre, at which k even steps of the part of its light within them are reached [rad]; one: a Gaussian's
         sigma in one direction.
-    slope, specularity : float
-        Standard deviations in one direction, of normal and reflected ray [rad].
+    slope : float
+        Standard deviation of the normal in one direction [rad].
     """
 
     sun: Array
     angles: Array
     slope: float
-    specularity: float
 
 
 @dataclass(frozen=True)
@@ -242,8 +244,9 @@ def _reached(maps: list[Array]) -> float:
 def _columns(m: Mirrors) -> dict[str, Array]:
     area = m.width * m.height
     columns = {
-        "width": m.width, "height": m.height, "across": m.facets[:, 0].astype(float), "up": m.facets[:, 1].astype(float),
+        "width": m.width, "height": m.height, "across": 1.0 * m.facets[:, 0], "up": 1.0 * m.facets[:, 1],
         "bend": 0.5 / m.focal, "cant": 0.5 / m.canting, "reach": m.reach, "passed": m.passed * area / area.mean(),
+        "gloss": m.specularity,
     }  # fmt: skip
     columns |= {f"p{c}": m.position[:, k] for k, c in enumerate("xyz")}
     return columns | {f"f{i}{j}": m.frame[:, i, j] for i in range(3) for j in range(3)}
@@ -284,7 +287,7 @@ def _rays(
         return generator.next_float32()
 
     def scattered(v: Any, sigma: float) -> Any:
-        g = mi.warp.square_to_std_normal(mi.Point2f(uniform(), uniform())) * dr.opaque(mi.Float, sigma)
+        g = mi.warp.square_to_std_normal(mi.Point2f(uniform(), uniform())) * sigma
         about = mi.Frame3f(v)
         return dr.normalize(v + about.s * g.x + about.t * g.y)
 
@@ -316,8 +319,8 @@ def _rays(
 
     # The beam through the piece of the sphere over an even piece of its chord's plane.
     weight = dr.maximum(dr.dot(normal, sun), 0.0) / dr.maximum(steep, 0.5)
-    bent = scattered(normal, light.slope)
-    out = scattered(2 * dr.dot(bent, sun) * bent - sun, light.specularity)
+    bent = scattered(normal, dr.opaque(mi.Float, light.slope))
+    out = scattered(2 * dr.dot(bent, sun) * bent - sun, h["gloss"])
     there = (sun.z > PASSING) & (out.z > PASSING)
     weight = dr.select(there, weight, 0.0)
     centre = mi.Vector3f(h["px"], h["py"], h["pz"])

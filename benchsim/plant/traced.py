@@ -25,6 +25,7 @@ def moment_traced(
     accuracy: float = 0.01,
     seed: int = 0,
     variant: str | None = None,
+    specularity: Array | None = None,
 ) -> Moment:
     """What a plant does at one moment, by rays.
 
@@ -37,6 +38,8 @@ def moment_traced(
     seed : int
     variant : str, optional
         Of Mitsuba.
+    specularity : (n,), optional
+        Of each heliostat in the place of the plant's [rad].
     """
     s, f, o = np.asarray(sun, float), plant.field, plant.optics
     grids = grids or meshes(plant)
@@ -47,10 +50,10 @@ def moment_traced(
     mirrors = Mirrors(
         f.position, np.stack([across, up, n], axis=1), f.width, f.height, f.facets,
         np.where(np.isnan(f.focal), f.distance, f.focal), np.where(np.isnan(f.canting), f.distance, f.canting),
-        f.distance, reflectance * through,
+        f.distance, reflectance * through, np.full(len(f), o.specularity) if specularity is None else specularity,
     )  # fmt: skip
     surfaces = tuple(_surface(r, m) for r, m in zip(plant.receivers, grids, strict=True))
-    light = Light(s, plant.sun.quantiles(), o.slope, o.specularity)
+    light = Light(s, plant.sun.quantiles(), o.slope)
     got = trace(mirrors, light, surfaces, accuracy=accuracy, seed=seed, variant=variant)
     # W from the irradiance on a square millimetre.
     watts = irradiance / 1e6
@@ -73,6 +76,4 @@ def _surface(r: Receiver, mesh: Mesh) -> Surface:
     if r.kind == "cylinder":
         return Surface(True, np.array(r.centre), np.eye(3), r.width, r.height, mesh.shape)
     target = r.target
-    return Surface(
-        False, np.array(r.centre), np.vstack([target.axes, target.normal]), r.width, r.height, mesh.shape
-    )
+    return Surface(False, np.array(r.centre), np.vstack([target.axes, target.normal]), r.width, r.height, mesh.shape)
