@@ -188,7 +188,7 @@ def trace(
     columns = {name: mi.Float(value.astype(np.float32)) for name, value in _columns(mirrors).items()}
     angles = mi.Float(light.angles.astype(np.float32))
     per = np.zeros((len(NAMES), n))
-    maps = [np.zeros((2, *s.cells)) for s in surfaces]
+    maps: list[Any] = [np.zeros((2, *s.cells)) for s in surfaces]
     rays, reached = 0, np.inf
     while rays < MOST and reached > accuracy:
         sums = [dr.zeros(mi.Float, n * groups) for _ in NAMES]
@@ -206,7 +206,7 @@ def trace(
         dr.eval(sums, bins)
         per += [np.array(x, float).reshape(n, groups).sum(axis=1) for x in sums]
         for total, pair, s in zip(maps, bins, surfaces, strict=True):
-            total += [np.array(x, float).reshape(s.cells) for x in pair]
+            total += np.array([np.array(x, float).reshape(s.cells) for x in pair])
         rays += count
         reached = _reached(maps)
     scale = mirrors.width * mirrors.height / (rays / n)
@@ -286,7 +286,7 @@ def _rays(
     def uniform() -> Any:
         return generator.next_float32()
 
-    def scattered(v: Any, sigma: float) -> Any:
+    def scattered(v: Any, sigma: Any) -> Any:
         g = mi.warp.square_to_std_normal(mi.Point2f(uniform(), uniform())) * sigma
         about = mi.Frame3f(v)
         return dr.normalize(v + about.s * g.x + about.t * g.y)
@@ -330,14 +330,15 @@ def _rays(
 
     shaded = scene.ray_test(mi.Ray3f(leaving(sun), toward), active=there)
     ray = world(out)
-    blocked = scene.ray_test(mi.Ray3f(leaving(out), ray, h["reach"], 0.0, []), active=there & ~shaded)
+    blocked = scene.ray_test(_until(mi.Ray3f(leaving(out), ray), h["reach"]), active=there & ~shaded)
     free = there & ~shaded & ~blocked
 
     middle = 2 * dr.dot(frame[2], constant(light.sun)) * frame[2] - constant(light.sun)
     place = world(point)
     aside = place + ray * ((h["reach"] - dr.dot(place, middle)) / dr.dot(ray, middle)) - middle * h["reach"]
 
-    cells, along, up, nearest = [], mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
+    cells: list[tuple[Any, Any]] = []
+    along, up, nearest = mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
     for s, shape in shapes:
         rows = [constant(row) for row in s.frame]
         local = [mi.Vector3f(*(dr.dot(row, v) for row in rows)) for v in (centre + place - constant(s.centre), ray)]
@@ -377,6 +378,11 @@ def _rays(
         "up": landed * up,
         "cells": cells,
     }
+
+
+def _until(ray: Any, reach: Any) -> Any:
+    ray.maxt = reach
+    return ray
 
 
 def _of_the_sun(light: Light, angles: Any, uniform: Any) -> Any:

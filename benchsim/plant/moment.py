@@ -173,7 +173,7 @@ def moment(
     whole = f.area * np.maximum(cosine, 1e-12)
     caught, rough = np.clip(caught / whole, 0, 1), rough / whole
     power = reflected * (1 - shaded - blocked) * through * caught
-    received = np.bincount(f.receiver, power, len(plant.receivers))
+    received = np.bincount(f.receiver, power, len(plant.receivers)).astype(float)
     return Moment(
         s, irradiance, cosine, shaded, blocked, through, caught, power, reflected, beams.image_rms, place, tuple(maps),
         grids, float(np.abs(caught - rough).max()), received,
