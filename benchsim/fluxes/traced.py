@@ -175,9 +175,6 @@ def trace(
     variant : str, optional
         Of Mitsuba; see `benchsim.renderer.backend.use`.
 
-    Returns
-    -------
-    Traced
     """
     use(variant)
     n = len(mirrors.position)
@@ -193,10 +190,13 @@ def trace(
     while rays < MOST and reached > accuracy:
         sums = [dr.zeros(mi.Float, n * groups) for _ in NAMES]
         bins = [[dr.zeros(mi.Float, s.cells[0] * s.cells[1]) for _ in range(2)] for s in surfaces]
-        index = dr.arange(mi.UInt32, count) // dr.opaque(mi.UInt32, each)
-        # A variable, not a literal: one kernel serves all batches.
-        state = dr.opaque(mi.UInt64, seed * 1_000_003 + rays // count)
-        generator: Any = mi.PCG32(size=count, initstate=state)  # type: ignore[operator]
+        ray = dr.arange(mi.UInt32, count)
+        index = ray // dr.opaque(mi.UInt32, each)
+        # A variable, not a literal: one kernel serves all batches. Streams of neighbouring numbers are not independent,
+        # hence the hash.
+        batch = dr.opaque(mi.UInt32, (seed * 1_000_003 + rays // count) % 2**32)
+        state, stream = mi.sample_tea_32(ray, batch)  # type: ignore[call-overload]
+        generator: Any = mi.PCG32(initstate=mi.UInt64(state), initseq=mi.UInt64(stream))  # type: ignore[operator]
         found = _rays(index // groups, columns, light, angles, generator, scene, shapes)
         for total, name in zip(sums, NAMES, strict=True):
             dr.scatter_add(total, found[name], index)
@@ -291,8 +291,12 @@ def _rays(
         about = mi.Frame3f(v)
         return dr.normalize(v + about.s * g.x + about.t * g.y)
 
+    # Not literals: one kernel serves all plants of a kind.
+    def variable(x: float) -> Any:
+        return dr.opaque(mi.Float, float(x))
+
     def constant(v: Array) -> Any:
-        return mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in v))
+        return mi.Vector3f(*map(variable, v))
 
     def world(v: Any) -> Any:
         return frame[0] * v.x + frame[1] * v.y + frame[2] * v.z
@@ -319,7 +323,7 @@ def _rays(
 
     # The beam through the piece of the sphere over an even piece of its chord's plane.
     weight = dr.maximum(dr.dot(normal, sun), 0.0) / dr.maximum(steep, 0.5)
-    bent = scattered(normal, dr.opaque(mi.Float, light.slope))
+    bent = scattered(normal, variable(light.slope))
     out = scattered(2 * dr.dot(bent, sun) * bent - sun, h["gloss"])
     there = (sun.z > PASSING) & (out.z > PASSING)
     weight = dr.select(there, weight, 0.0)
@@ -330,7 +334,9 @@ def _rays(
 
     shaded = scene.ray_test(mi.Ray3f(leaving(sun), toward), active=there)
     ray = world(out)
-    blocked = scene.ray_test(_until(mi.Ray3f(leaving(out), ray), h["reach"]), active=there & ~shaded)
+    way = mi.Ray3f(leaving(out), ray)
+    way.maxt = h["reach"]  # type: ignore[assignment]
+    blocked = scene.ray_test(way, active=there & ~shaded)
     free = there & ~shaded & ~blocked
 
     middle = 2 * dr.dot(frame[2], constant(light.sun)) * frame[2] - constant(light.sun)
@@ -343,28 +349,28 @@ def _rays(
         rows = [constant(row) for row in s.frame]
         local = [mi.Vector3f(*(dr.dot(row, v) for row in rows)) for v in (centre + place - constant(s.centre), ray)]
         hit = shape.ray_intersect(mi.Ray3f(mi.Point3f(local[0]), local[1]), active=free)
-        q = hit.p
+        q, radius = hit.p, variable(s.width / 2)
         if s.round:
             met = free & hit.is_valid() & (q.x * local[1].x + q.y * local[1].y < 0)
-            u, extent = dr.atan2(q.x, q.y) * (s.width / 2), np.pi * s.width
-            v = q.z
+            u, v, extent = dr.atan2(q.x, q.y) * radius, q.z, 2 * dr.pi * radius
             # About where the mirror stands, lest the centroid of what is lit around south be north.
-            stands = dr.atan2(h["px"] - float(s.centre[0]), h["py"] - float(s.centre[1]))
-            turned = u * (2 / s.width) - stands
-            mean = (stands + dr.atan2(dr.sin(turned), dr.cos(turned))) * (s.width / 2)
+            stands = dr.atan2(h["px"] - variable(s.centre[0]), h["py"] - variable(s.centre[1]))
+            turned = u / radius - stands
+            mean = (stands + dr.atan2(dr.sin(turned), dr.cos(turned))) * radius
         else:
             met = free & hit.is_valid() & (local[1].z < 0)
-            u, v, extent = q.x, q.y, s.width
+            u, v, extent = q.x, q.y, 2 * radius
             mean = u
         first = met & (hit.t < nearest)
         nearest = dr.select(first, hit.t, nearest)
         along, up = dr.select(first, mean, along), dr.select(first, v, up)
+        many = [variable(k) for k in s.cells]
         i, j = (
             mi.UInt32(dr.clip((w / length + 0.5) * k, 0, k - 1))
-            for w, length, k in ((u, extent, s.cells[0]), (v, s.height, s.cells[1]))
+            for w, length, k in ((u, extent, many[0]), (v, variable(s.height), many[1]))
         )
         cells = [(cell, active & ~first) for cell, active in cells]
-        cells.append((i * s.cells[1] + j, first))
+        cells.append((i * mi.UInt32(many[1]) + j, first))
     lands = nearest < dr.inf
     landed = dr.select(lands, weight * h["passed"], 0.0)
     return {
@@ -380,17 +386,12 @@ def _rays(
     }
 
 
-def _until(ray: Any, reach: Any) -> Any:
-    ray.maxt = reach
-    return ray
-
-
 def _of_the_sun(light: Light, angles: Any, uniform: Any) -> Any:
     """A random point of the sun, as tangents from its centre."""
     if len(light.angles) == 1:
         g = mi.warp.square_to_std_normal(mi.Point2f(uniform(), uniform()))
         return g * dr.opaque(mi.Float, float(light.angles[0]))
-    place = uniform() * float(len(light.angles) - 1)
+    place = uniform() * dr.opaque(mi.Float, len(light.angles) - 1)
     k = dr.minimum(mi.UInt32(place), mi.UInt32(len(light.angles) - 2))
     low, high = (dr.gather(mi.Float, angles, k + d) for d in (0, 1))
     radius = dr.tan(low + (high - low) * (place - mi.Float(k)))
