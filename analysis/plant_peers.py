@@ -225,8 +225,8 @@ def compared(name: str, found: np.ndarray, base: np.ndarray) -> None:
     peak = float(found[top].mean())
     print(
         f"  {name:<24} {found.sum() * cell:8.2f} {peak:8.3f} {100 * (peak / base[top].mean() - 1):+7.2f} "
-        f"{np.sqrt((away**2).mean()):7.3f} {np.abs(away).max():7.2f}   {1e3 * centre[0]:+6.1f} {1e3 * centre[1]:+6.1f}  "
-        f"{1e3 * wide[0]:6.1f} {1e3 * wide[1]:6.1f}"
+        f"{np.sqrt((away**2).mean()):7.3f} {np.abs(away).max():7.2f}   {1e3 * centre[0]:+6.1f} "
+        f"{1e3 * centre[1]:+6.1f}  {1e3 * wide[0]:6.1f} {1e3 * wide[1]:6.1f}"
     )
 
 

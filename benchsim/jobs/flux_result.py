@@ -302,7 +302,7 @@ class FluxResult(Shown):
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        return self.text() + written(self.folder)
+        return self.text() + written(self.folder, page=True)
 
     def figures(self) -> list[Figure]:
         """The flux on each receiver, where engines part on it, and the field."""
