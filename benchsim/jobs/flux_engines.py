@@ -24,7 +24,7 @@ ENGINES = ("product", "carlo", "both")
 LONG = 20.0
 """Work that this process would take longer for [s] is spread over others, which take some seconds to start."""
 
-TOP = 0.9
+TOP = 0.95
 """Cells in which the product is above this part of its peak are where peaks are compared: many, so that noise of the
 Monte Carlo in one of them is of no concern."""
 

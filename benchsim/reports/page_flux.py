@@ -63,7 +63,8 @@ def shown(
     return {
         "flux": flux,
         "first": first,
-        "rest": rest,
+        # What is indented twice, and what leads to it, has a table of its own.
+        "rest": [line for line in rest if not line.startswith("    ") and not line.endswith(":")],
         "total": sum(r[f"on_it_{unit}"] for r in flux["receivers"]),
         "unit": {"kw": "kW", "kwh": "kWh"}[unit],
         "losses": [(k.replace("_", " "), 100 * v) for k, v in flux["losses"].items()],
