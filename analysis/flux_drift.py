@@ -2,7 +2,8 @@
 
 What Table 1 determines, its own consistency, the analytic flux against a Monte Carlo in Mitsuba on its ten heliostats
 (with errors, and with the share of slope errors that its Monte Carlo columns ask for), daily drift curves, and five
-heliostats at 120 m through a solstice day with and without drift, aligned at 7:00.
+heliostats at 120 m through a solstice day with and without drift, aligned at 7:00. Fluxes are those of the command
+``benchsim flux`` on the shipped plant ``five``, or on it with one of the table's heliostats.
 
     python analysis/flux_drift.py --seed 1 [--edge-m 6] [--quick] [-o DIR]
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -20,12 +22,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.optimize import least_squares
 
-from benchsim.fluxes import carlo
-from benchsim.fluxes.collado import flux
-from benchsim.fluxes.day import Compensation, Errors, aligned, clear_sky, deviated_normals, flux_at, image_centres
+import benchsim as bs
+from benchsim.fluxes.day import Errors, Moment, aligned, clear_sky, deviated_normals, flux_at, image_centres
 from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal
-from benchsim.fluxes.table import TABLE, TOWER, Fit, analytic, contradictions, fit_table, sun_at
+from benchsim.fluxes.table import TABLE, TOWER, Fit, Row, analytic, contradictions, fit_table, sun_at
+from benchsim.jobs import flux_times
+from benchsim.jobs.flux_result import FluxResult
+from benchsim.plant import files, sunshape
+from benchsim.plant.model import Field, Optics, Plant
 
+FIVE = files.read(Path(__file__).resolve().parents[1] / "scenes" / "plants" / "five")
+"""The shipped plant: target, site and sky of all that follows."""
 MRAD = 1e-3
 LOCAL = -(4 * (110.96 - 105.0) + 1.6) / 60
 """True solar less local time in Hermosillo [h]: 110.96° W, time of 105° W, equation of time −1.6 min on June 21."""
@@ -58,26 +65,45 @@ def table(fit: Fit) -> None:
         )
 
 
-def ratios(fit: Fit, sigma: float, share: float, seed: int, rays: int, facets=(1, 1)) -> np.ndarray:
+def one(fit: Fit, row: Row, sigma: float, share: float, facets=(1, 1)) -> Plant:
+    """The shipped plant with a row's heliostat in the place of its five, of the size that the total error asks for."""
+    h, target = fit.field.heliostat(row, sigma, share), fit.field.receiver(sigma)
+    receiver = replace(FIVE.receivers[0], width=target.width, height=target.height)
+    nan = np.full(1, np.nan)
+    field = Field(
+        ("1",), np.array([h.position]), np.array([h.width]), np.array([h.height]), np.array([facets]), nan, nan,
+        np.zeros(1, int), np.array([receiver.centre]),
+    )  # fmt: skip
+    return replace(FIVE, receivers=(receiver,), field=field, sun=sunshape.gaussian(h.sun), optics=Optics(h.slope))
+
+
+def clock(solar: float) -> str:
+    """The solstice's time in Hermosillo at a true solar one [h]."""
+    seconds = round(3600 * (solar - LOCAL))
+    return f"2016-06-21T{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
+
+
+def both(fit: Fit, row: Row, sigma: float, share: float, accuracy: float, seed: int, facets=(1, 1)) -> FluxResult:
+    """``benchsim flux --engine both`` of a row's heliostat."""
+    return bs.flux(
+        one(fit, row, sigma, share, facets), at=clock(fit.field.hour), irradiance=fit.field.irradiance, errors="none",
+        cells=60, engine="both", accuracy=accuracy, seed=seed,
+    )  # fmt: skip
+
+
+def ratios(fit: Fit, sigma: float, share: float, seed: int, accuracy: float, facets=(1, 1)) -> np.ndarray:
     """Monte Carlo over analytic less 1, (10, 4): peak, its error, average, its error."""
-    target, sun = fit.field.receiver(sigma), fit.field.sun()
     out = []
     for k, row in enumerate(TABLE):
-        h = fit.field.heliostat(row, sigma, share)
-        h = Heliostat(h.position, h.width, h.height, h.sun, h.slope, facets=facets)
-        normal = ideal_normal(h.position, target.centre, sun)
-        x, z = target.grid(60)
-        peak = float(flux(h, target, sun, normal, 0.0, 0.0))
-        average = float(flux(h, target, sun, normal, x[:, None], z[None, :]).mean())
-        found = carlo.flux(h, target, sun, normal, rays=rays // 10, seed=1000 * seed + k)
-        (p, ps), (a, sa) = found.peak(), found.average()
-        out.append([p / peak - 1, ps / peak, a / average - 1, sa / average])
+        (parting,) = both(fit, row, sigma, share, accuracy, 1000 * seed + k, facets).partings
+        (p, pc, ps), (a, ac, es) = parting.peak, parting.power
+        out.append([pc / p - 1, ps / p, ac / a - 1, es / a])
     return np.array(out)
 
 
-def slope_share(fit: Fit, sigma: float, seed: int, rays: int) -> tuple[float, float, np.ndarray]:
+def slope_share(fit: Fit, sigma: float, seed: int, accuracy: float) -> tuple[float, float, np.ndarray]:
     """The share of slope errors in σ² that the printed Monte Carlo over analytic asks for, its 1 σ, and all ratios."""
-    made = np.array([ratios(fit, sigma, s, seed, rays) for s in SHARES])
+    made = np.array([ratios(fit, sigma, s, seed, accuracy) for s in SHARES])
     printed = np.array([[r.peak_mc / r.peak - 1, r.average_mc / r.average - 1] for r in TABLE])
     scale = np.array([0.01, 0.002])  # noise of peaks in a histogram; of averages
 
@@ -89,14 +115,15 @@ def slope_share(fit: Fit, sigma: float, seed: int, rays: int) -> tuple[float, fl
     return float(found.x[0]), float(np.sqrt(s2 / (found.jac[:, 0] @ found.jac[:, 0]))), made
 
 
-def compare(fit: Fit, sigma: float, seed: int, rays: int, out: Path) -> None:
-    share, error, made = slope_share(fit, sigma, seed, rays // 4)
+def compare(fit: Fit, sigma: float, seed: int, accuracy: float, out: Path) -> None:
+    share, error, made = slope_share(fit, sigma, seed, 2 * accuracy)
     slope = sigma * math.sqrt(max(share, 0.0)) / 2
     print(f"\nShare of the slopes in σ² that the Monte Carlo columns ask for: {share:.2f} ± {error:.2f}")
     print(
         f"  (with σ {1e3 * sigma:.1f} mrad: sun {1e3 * sigma * math.sqrt(1 - share):.1f}, slope {1e3 * slope:.1f} mrad)"
     )
-    final, facets = ratios(fit, sigma, share, seed + 1, rays), ratios(fit, sigma, share, seed + 2, rays // 4, (4, 4))
+    final = ratios(fit, sigma, share, seed + 1, accuracy)
+    facets = ratios(fit, sigma, share, seed + 2, 2 * accuracy, (4, 4))
     distance = np.array([math.hypot(r.x, r.y, TOWER / 1e3) for r in TABLE])
     sun = fit.field.sun()
     incidence = [
@@ -141,20 +168,16 @@ def compare(fit: Fit, sigma: float, seed: int, rays: int, out: Path) -> None:
     axes[0].legend()
     fig.savefig(out / "monte-carlo.png", dpi=110)
     plt.close(fig)
-    maps(fit, sigma, share, seed, rays, out)
+    maps(fit, sigma, share, seed, accuracy, out)
 
 
-def maps(fit: Fit, sigma: float, share: float, seed: int, rays: int, out: Path) -> None:
+def maps(fit: Fit, sigma: float, share: float, seed: int, accuracy: float, out: Path) -> None:
     """As the paper's Figs 5 and 6: a near and a far heliostat, analytic and Monte Carlo."""
-    target, sun = fit.field.receiver(sigma), fit.field.sun()
     fig, axes = plt.subplots(2, 3, figsize=(12, 7.4), layout="constrained")
-    half = target.width / 2e3
+    half = fit.field.receiver(sigma).width / 2e3
     for line, row in zip(axes, (TABLE[2], TABLE[7]), strict=True):
-        h = fit.field.heliostat(row, sigma, share)
-        normal = ideal_normal(h.position, target.centre, sun)
-        x, z = target.grid(60)
-        a = flux(h, target, sun, normal, x[:, None], z[None, :]) * fit.field.irradiance
-        m = carlo.flux(h, target, sun, normal, rays=rays // 10, seed=seed).mean * fit.field.irradiance
+        result = both(fit, row, sigma, share, accuracy, seed)
+        a, m = (1e3 * x[0] for x in (result.maps(), result.maps(result.carlo)))
         for ax, image, title in ((line[0], a, "analytic"), (line[1], m, "Monte Carlo"), (line[2], m - a, "difference")):
             big = np.abs(image).max()
             style = (
@@ -207,17 +230,36 @@ def curves(rng: np.random.Generator, out: Path) -> None:
     plt.close(fig)
 
 
-PSI = np.radians([-60, -30, 0, 30, 60])
 WAYS = {"drift, aim point shifted": "aim", "drift, angles shifted": "offset"}
 
 
-def day_of(helios, target, suns, sky, sets, by: str | None, cells: int = 81):
-    """Moments of a day; ``by``: how the spots are aligned at the first sun, None for heliostats without errors."""
-    normals = []
-    for h, e in zip(helios, sets, strict=True):
-        e = e if by else Errors()
-        c = aligned(h.position, target, suns[0], e, by) if by else Compensation()
-        normals.append(deviated_normals(h.position, target, suns, e, c))
+def day_of(sets, times, by: str | None, cells: int = 81) -> list[Moment]:
+    """Moments of a day of the five; ``by``: how spots are aligned at the first, None for heliostats without errors.
+
+    The command shifts aims. Constants added to the angles are the room's: `benchsim.fluxes.day`.
+    """
+    if by == "offset":
+        return by_angles(sets, times, cells)
+    columns = [e.inside() for e in sets]
+    errors = {n: np.concatenate([c[n] for c in columns]) for n in columns[0]} if by else {}
+    plant = replace(FIVE, field=replace(FIVE.field, errors=errors))
+    aligned = times[0] if by else None
+    results = [bs.flux(plant, at=t, errors="stated", aligned=aligned, cells=cells) for t in times]
+    return [Moment(1e3 * r.maps()[0], FIVE.receivers[0].target) for r in results]
+
+
+def by_angles(sets, times, cells: int) -> list[Moment]:
+    target, f = FIVE.receivers[0].target, FIVE.field
+    suns = flux_times.apparent([flux_times.moment(t, FIVE, "at") for t in times], FIVE)
+    helios = [
+        Heliostat(tuple(p), w, h, FIVE.sun.sigma, FIVE.optics.slope, FIVE.optics.reflectance)
+        for p, w, h in zip(f.position, f.width, f.height, strict=True)
+    ]
+    normals = [
+        deviated_normals(h.position, target, suns, e, aligned(h.position, target, suns[0], e, "offset"))
+        for h, e in zip(helios, sets, strict=True)
+    ]
+    sky = clear_sky(suns)
     return [
         flux_at(helios, target, s, n, d, cells) for s, n, d in zip(suns, np.stack(normals, axis=1), sky, strict=True)
     ]
@@ -225,20 +267,15 @@ def day_of(helios, target, suns, sky, sets, by: str | None, cells: int = 81):
 
 def five(rng: np.random.Generator, draws: int, out: Path) -> None:
     """As Figs 8 and 9: five heliostats at 120 m, ψ −60° to 60°, aligned at 7:00."""
-    target = Target((0.0, 0.0, TOWER), 6000.0, 6000.0)
-    helios = [
-        Heliostat((120e3 * math.sin(a), 120e3 * math.cos(a), 0.0), 6000.0, 6000.0, 2.5 * MRAD, 1.0 * MRAD, 0.9)
-        for a in PSI
-    ]
-    sets = [random_errors(rng) for _ in helios]
-    print(f"\nFive heliostats at 120 m, 6 m × 6 m, σ {1e3 * helios[0].total:.1f} mrad, aligned at 7:00")
-    for a, e in zip(PSI, sets, strict=True):
-        print(f"  ψ {math.degrees(a):+.0f}°: {says(e)}")
+    sets = [random_errors(rng) for _ in FIVE.field.ids]
+    psi = np.degrees(np.arctan2(FIVE.field.position[:, 0], FIVE.field.position[:, 1]))
+    print(f"\nFive heliostats at 120 m, 6 m × 6 m, σ {1e3 * FIVE.spread[0]:.1f} mrad, aligned at 7:00")
+    for a, e in zip(psi, sets, strict=True):
+        print(f"  ψ {a:+.0f}°: {says(e)}")
     local = np.arange(7.0, 17.01, 0.25)
-    suns = np.array([sun_at(t + LOCAL) for t in local])
-    sky = clear_sky(suns)
-    days = {"ideal": day_of(helios, target, suns, sky, sets, None)}
-    days |= {name: day_of(helios, target, suns, sky, sets, by) for name, by in WAYS.items()}
+    times = [f"2016-06-21T{int(h):02d}:{round(60 * (h % 1)):02d}" for h in local]
+    days = {"ideal": day_of(sets, times, None)}
+    days |= {name: day_of(sets, times, by) for name, by in WAYS.items()}
     five_maps({k: days[k] for k in list(days)[:2]}, local, out)
 
     fig, axes = plt.subplots(2, 3, figsize=(14, 7.5), layout="constrained")
@@ -273,11 +310,9 @@ def five(rng: np.random.Generator, draws: int, out: Path) -> None:
 
     # One set of errors is a draw: how it lies among many.
     hours = np.arange(7.0, 17.01, 1.0)
-    few = np.array([sun_at(t + LOCAL) for t in hours])
-    light = clear_sky(few)
-    ideal = np.array([m.peak for m in day_of(helios, target, few, light, sets, None, 41)])
+    ideal = np.array([m.peak for m in day_of(sets, times[::4], None, 41)])
     for k, (name, by) in enumerate(WAYS.items()):
-        many = [day_of(helios, target, few, light, [random_errors(rng) for _ in helios], by, 41) for _ in range(draws)]
+        many = [day_of([random_errors(rng) for _ in sets], times[::4], by, 41) for _ in range(draws)]
         share = np.array([[m.peak for m in day] for day in many]) / ideal
         parted = np.array([[np.linalg.norm(m.centroid - m.brightest) for m in day] for day in many]) / 1e3
         low, middle, high = np.quantile(share, [0.05, 0.5, 0.95], axis=0)
@@ -317,14 +352,14 @@ def main() -> None:
     parser.add_argument(
         "--edge-m", type=float, default=6.0, help="edge of the mirror, which the table does not determine"
     )
-    parser.add_argument("--quick", action="store_true", help="a tenth of the rays")
+    parser.add_argument("--quick", action="store_true", help="a ninth of the rays")
     parser.add_argument("-o", "--out", type=Path, default=Path("flux-drift"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     fit = fit_table()
     table(fit)
     sigma = 1e3 * options.edge_m / fit.field.mirror
-    compare(fit, sigma, options.seed, 2_000_000 if options.quick else 20_000_000, options.out)
+    compare(fit, sigma, options.seed, 3.0 if options.quick else 1.0, options.out)
     rng = np.random.default_rng(options.seed)
     curves(rng, options.out)
     five(rng, 10 if options.quick else 60, options.out)

@@ -3,6 +3,9 @@
 Radial stagger all around a tower, an external cylinder, errors of the mounts; the sun high and low.
 
     python analysis/plant_time.py [--heliostats 10000] [--dense]
+    python analysis/plant_time.py --carlo [--heliostats 1000] [--accuracy 0.01] [--seed 1]
+
+The second is the Monte Carlo: until the standard errors of the receiver's power and of the brightest cell are 1 %.
 """
 
 from __future__ import annotations
@@ -21,8 +24,9 @@ from benchsim.instruments.mount.records import toward
 from benchsim.plant import sunshape
 from benchsim.plant.layout import radial_stagger
 from benchsim.plant.model import Field, Optics, Plant, Receiver, Site
-from benchsim.plant.moment import moment, normals
+from benchsim.plant.moment import meshes, moment, normals
 from benchsim.plant.shading import lost
+from benchsim.plant.traced import moment_traced
 
 
 def field(count: int, dense: bool) -> Plant:
@@ -45,7 +49,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--heliostats", type=int, default=10_000)
     parser.add_argument("--dense", action="store_true", help="rings as near as the mirrors allow")
+    parser.add_argument("--carlo", action="store_true", help="by Monte Carlo")
+    parser.add_argument("--accuracy", type=float, default=0.01, help="standard error of power and brightest cell")
+    parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
+    if options.carlo:
+        carlo(min(options.heliostats, 1000), options)
+        return
     for count in sorted({100, 1000, options.heliostats}):
         plant = field(count, options.dense)
         f = plant.field
@@ -63,6 +73,30 @@ def main() -> None:
                 f"{whole:.2f} s of CPU, of which {shading:.2f} for shading and blocking; shaded {m.shaded.mean():.1%}, "
                 f"blocked {m.blocked.mean():.1%}, spilled {m.spillage.mean():.1%}, grid {m.grid:.0e}"
             )
+    memory()
+
+
+def carlo(count: int, options: argparse.Namespace) -> None:
+    plant = field(count, options.dense)
+    for elevation in (60.0, 10.0):
+        sun = toward(np.array(2.5), np.array(math.radians(elevation)))
+        for cells in (60, None):
+            grids = meshes(plant, cells)
+            start, cpu = time.perf_counter(), time.process_time()
+            m = moment_traced(
+                plant, sun, 900.0, plant.field.errors, grids, accuracy=options.accuracy, seed=options.seed
+            )
+            p = moment(plant, sun, 900.0, plant.field.errors, grids)
+            print(
+                f"{count} heliostats, sun {elevation:.0f}° high, {m.flux[0].shape} cells: {m.noise.rays / 1e6:.1f} "
+                f"million rays, {time.perf_counter() - start:.1f} s by the clock, {time.process_time() - cpu:.1f} s of "
+                f"CPU, standard error {m.noise.accuracy:.2%}; power {m.received[0] / 1e3:.0f} kW, product "
+                f"{p.received[0] / 1e3:.0f}"
+            )
+    memory()
+
+
+def memory() -> None:
     # Kilobytes on Linux, bytes on macOS.
     unit = 1 if sys.platform == "darwin" else 1024
     print(f"largest memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20:.0f} MiB")

@@ -273,6 +273,14 @@ class MountErrors(StrEnum):
     diagnosed = "diagnosed"
 
 
+class FluxEngine(StrEnum):
+    """How a flux is computed."""
+
+    product = "product"
+    carlo = "carlo"
+    both = "both"
+
+
 @app.command()
 def flux(
     plant: Annotated[Path, typer.Argument(help="plant.toml, or the folder that holds it.")],
@@ -286,7 +294,10 @@ def flux(
     errors: Annotated[
         MountErrors | None, typer.Option(help="Of the mounts; default diagnosed where the plant names it, or stated.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of drawn errors.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of drawn errors, and of rays.")] = 0,
+    aligned: Annotated[
+        str | None, typer.Option(help="A time at which all images were put on their aims; they drift from there.")
+    ] = None,
     irradiance: Annotated[
         float | None, typer.Option(min=0, max=2000, help="W/m2 on a plane facing the sun; default a clear sky's.")
     ] = None,
@@ -296,11 +307,24 @@ def flux(
     level: Annotated[
         list[float] | None, typer.Option(help="Contour in kW/m2, kWh/m2 of a day; may be repeated.")
     ] = None,
+    engine: Annotated[
+        FluxEngine, typer.Option(help="Product of error functions, Monte Carlo, or both and where they part.")
+    ] = FluxEngine.product,
+    accuracy: Annotated[
+        float, typer.Option(min=0.1, max=20, help="Of the Monte Carlo's power and brightest cell [%].")
+    ] = 1.0,
     rank: Annotated[
         bool, typer.Option("--rank", help="With --day or --year: the energy that its errors cost each heliostat.")
     ] = False,
+    scheduler: SchedulerAt = None,
+    tls: Tls = None,
+    insecure: Insecure = False,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Local processes; default one per core if it takes long; 0: in this one.")
+    ] = None,
     allow_outside: Outside = False,
     json: Json = False,
+    variant: Variant = None,
 ) -> None:
     """Flux of a plant on its receivers, and what is lost where. At a time, in a day or a year."""
     from benchsim import jobs
@@ -311,8 +335,9 @@ def flux(
         raise typer.BadParameter("errors are ranked in a day or a year: give --day or --year", param_hint="--rank")
     _do(
         jobs.flux, json, plant=plant, output=_folder(output, plant, "flux"), at=at, day=day, year=year,
-        step=step, errors=errors and errors.value, seed=seed, irradiance=irradiance, cells=cells, levels=level or [],
-        rank=rank, allow_outside=allow_outside,
+        step=step, errors=errors and errors.value, seed=seed, aligned=aligned, irradiance=irradiance, cells=cells,
+        levels=level or [], engine=engine.value, accuracy=accuracy, variant=variant, rank=rank,
+        scheduler=_scheduler(scheduler, tls, insecure), workers=workers, allow_outside=allow_outside,
     )  # fmt: skip
 
 

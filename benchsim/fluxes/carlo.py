@@ -141,9 +141,11 @@ def flux(
             count = rays // len(facets)
             to_target = frame @ axes.T
             offset = frame @ (np.array(heliostat.position) + vertex - np.array(target.centre))
-            # A variable, not a literal: one kernel serves all batches and facets.
-            state = dr.opaque(mi.UInt64, (seed * 7919 + b) * 1009 + k)
-            generator: Any = mi.PCG32(size=count, initstate=state)  # type: ignore[operator]
+            # A variable, not a literal: one kernel serves all batches and facets. Streams of neighbouring numbers are
+            # not independent, hence the hash.
+            number = dr.opaque(mi.UInt32, ((seed * 7919 + b) * 1009 + k) % 2**32)
+            state, stream = mi.sample_tea_32(dr.arange(mi.UInt32, count), number)  # type: ignore[call-overload]
+            generator: Any = mi.PCG32(initstate=mi.UInt64(state), initseq=mi.UInt64(stream))  # type: ignore[operator]
             hit, weight = _trace(heliostat, len(facets), axes @ s, to_target, offset, generator, sphere, plane)
             uv = hit.uv * cells
             cell = mi.UInt32(dr.clip(uv.x, 0, cells - 1)) * cells + mi.UInt32(dr.clip(uv.y, 0, cells - 1))

@@ -1,7 +1,23 @@
-"""`benchsim.fluxes.collado` of many heliostats at once, on any points of a receiver.
+"""Flux as a product of error functions: Collado, Gómez & Turégano 1986, as Lara-Cerecedo 2016 uses it.
 
-The formula and its limits are stated there. Points of a curved receiver are carried to each heliostat's image plane
-along its central ray like those of a plane, and each point has its own obliquity.
+A spherical mirror of radius 2 d, seen from the sun at incidence i and looked at from its target at distance d, sends
+its point q to the image plane (perpendicular to the central ray) at q⊥ − [(q·s) n + (n·s) q]⊥: in the plane of
+incidence q (cos i − 1), across it q (1 − cos i). That is a reflection times 1 − cos i, a conformal map: the image of a
+rectangle is a rectangle, turned and evenly lit, and its convolution with a circular Gaussian of σ_r = σ d is a product
+of error functions,
+
+    F = ρ I cos i / (1 − cos i)² · H(ζ, a₁) H(η, a₂),   H(w, a) = ½ [erf(w + a) − erf(w − a)],
+
+with ζ, η the coordinates along the image's edges over √2 σ_r and a₁, a₂ its *half* edges, (1 − cos i) L/2, over √2 σ_r.
+(The paper prints a plus in Eq. (9) and whole edges in Eq. (11), and refers to Collado for the angles φ − τ of Eq. (10):
+here they are those of the map itself.) On a target that is not the image plane F is multiplied by the cosine of
+incidence there, and points are carried to the image plane along the central ray.
+
+Not for mirrors of another focal length than their distance, where the map is not conformal, nor for slope errors that
+dominate at large incidence: they spread light less across the plane of incidence than in it (`benchsim.fluxes.carlo`).
+
+Of many heliostats at once, on any points of a receiver: those of a curved one are carried to each heliostat's image
+plane along its central ray like those of a plane, and each point has its own obliquity.
 """
 
 from __future__ import annotations
@@ -13,11 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from benchsim.fluxes.collado import _LEAST
 from benchsim.fluxes.heliostat import mirror_axes
 from benchsim.instruments.mount.axes import reflected
 
 Array = NDArray[np.float64]
+
+LEAST = 1e-8
+"""Of 1 − cos i: below, the image is a point, and where its edges point is of no consequence."""
 
 AT_ONCE = 2**19
 """Values of flux that are worked on at once: some arrays of 4 MB."""
@@ -84,7 +102,7 @@ def flux(beams: Beams, points: Array, normals: Array) -> Array:
         Of the receiver's lit side.
     """
     s, n, r, cosine = beams.sun, beams.normal, beams.ray, beams.cosine
-    shrink = np.maximum(1 - cosine, _LEAST)
+    shrink = np.maximum(1 - cosine, LEAST)
     width = np.sqrt(2) * beams.spread * beams.distance
     density = np.maximum(cosine, 0) / shrink**2
     oblique = np.maximum(-(r @ normals.T), 0)
@@ -95,7 +113,7 @@ def flux(beams: Beams, points: Array, normals: Array) -> Array:
         on_image = edge - (edge * r).sum(axis=1, keepdims=True) * r
         turned = on_image - (edge @ s)[:, None] * (n - cosine[:, None] * r) - cosine[:, None] * on_image
         turned /= shrink[:, None]
-        on_image = np.where((1 - cosine > _LEAST)[:, None], turned, on_image) / width[:, None]
+        on_image = np.where((1 - cosine > LEAST)[:, None], turned, on_image) / width[:, None]
         along = on_image @ points.T - (on_image * beams.position).sum(axis=1, keepdims=True)
         half = (length * shrink / 2 / width)[:, None]
         out *= erf(along + half) - erf(along - half)

@@ -1,4 +1,4 @@
-"""Plants to begin with: a field laid out by radial stagger, and the five heliostats of Lara-Cerecedo et al. 2016."""
+"""Plants to begin with: a field laid out by radial stagger, and the heliostats of two papers' figures."""
 
 from __future__ import annotations
 
@@ -103,6 +103,33 @@ AN_sigma_mrad = 1.2
 AW_sigma_mrad = 1.2
 """
 
+SIX = """\
+# Six heliostats in the frame of Carretero et al. 2019, Figs 4 and 5. The paper prints their places only in its picture;
+# these, the latitude, the receiver and the mirrors are this project's.
+format = "benchsim-plant/1"
+title = "Six heliostats below a target"
+
+[site]
+latitude_deg = 40.4
+longitude_deg = 0.0
+attenuation = "none"
+
+[[receiver]]
+name = "target"
+centre_m = [0.0, 0.0, 150.0]
+width_m = 14.0
+height_m = 14.0
+
+[optics]
+slope_mrad = 1.0
+reflectance = 0.9
+
+[heliostats]
+table = "heliostats.csv"
+width_m = 10.0
+height_m = 10.0
+"""
+
 
 def radial(folder: Path, count: int) -> None:
     """Write a plant of heliostats in radial stagger to 60 deg on either side of north; the tower grows with it."""
@@ -116,6 +143,12 @@ def five(folder: Path) -> None:
     """Write the paper's plant."""
     psi = np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
     _write(folder, 120 * np.stack([np.sin(psi), np.cos(psi)], axis=1), 0.0, FIVE)
+
+
+def six(folder: Path) -> None:
+    """Write a plant of six, three near and three far."""
+    places = [[16.0, 150.0], [-150.0, 80.0], [100.0, 100.0], [350.0, 800.0], [-450.0, 650.0], [0.0, 900.0]]
+    _write(folder, np.array(places), 7.0, SIX)
 
 
 def _write(folder: Path, places: Array, up: float, text: str) -> None:

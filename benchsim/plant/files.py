@@ -136,8 +136,9 @@ def _receiver(r: schema.ReceiverTable, k: int, file: Path) -> Receiver:
     e, n, u = (1e3 * x for x in r.centre_m)
     width = 1e3 * getattr(r, key)
     return Receiver(
-        r.name, r.kind, (e, n, u), width, 1e3 * r.height_m, math.radians(r.azimuth_deg), math.radians(r.elevation_deg)
-    )
+        r.name, r.kind, (e, n, u), width, 1e3 * r.height_m, math.radians(r.azimuth_deg), math.radians(r.elevation_deg),
+        None if r.peak_limit_kw_m2 is None else 1e3 * r.peak_limit_kw_m2,
+    )  # fmt: skip
 
 
 def _sun(s: schema.SunTable, file: Path, named: Any) -> tuple[sunshape.SunShape, list[Path]]:

@@ -20,9 +20,10 @@ def radial_stagger(
     A mirror needs a circle of its diagonal. A zone begins with as many as fit around its first ring; its rings keep
     that number, turned by half a step from one to the next, until a ring has room for twice as many and a new zone
     begins (Collado & Guallar 2012, https://doi.org/10.1016/j.renene.2012.03.011, with Δα the diagonal over the radius
-    and rings cos 30° of the diagonal apart at least). Further out rings lie apart as DELSOL has it for little blocking,
-    ΔR = h (1.44 cot θ − 1.094 + 3.068 θ − 1.1256 θ²), θ the receiver's elevation in radians as the mirror sees it
-    (Stine & Geyer, Power From The Sun, chapter 10).
+    and rings cos 30° of the diagonal apart at least). Further out rings lie ΔR = h (1.44 cot θ − 1.094 + 3.068 θ −
+    1.1256 θ²) apart, θ the receiver's elevation in radians as the mirror sees it (Stine & Geyer, Power From The Sun,
+    chapter 10, for DELSOL): a wide field, of little shading. DELSOL's own, as SolarPILOT's code has it, is
+    (h/2)(1.1442 cot θ − 1.0935 + 3.0684 θ − 1.1256 θ²), less than half of it.
 
     Parameters
     ----------

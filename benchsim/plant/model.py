@@ -98,6 +98,8 @@ class Receiver:
         Of a cylinder the width is its diameter [mm].
     azimuth, elevation : float
         Of the normal of a plane, from north through east and above the horizon [rad].
+    peak_limit : float or None
+        Above which flux should not be anywhere on it [W/m²].
     """
 
     name: str
@@ -107,6 +109,7 @@ class Receiver:
     height: float
     azimuth: float = 0.0
     elevation: float = 0.0
+    peak_limit: float | None = None
 
     @property
     def radius(self) -> float:
@@ -152,6 +155,14 @@ class Receiver:
         if self.kind != "cylinder":
             return np.array(centre)
         return np.asarray(centre + self.radius * unit((p - centre) * [1.0, 1.0, 0.0]))
+
+    def shifted(self, places: Array, shift: Array) -> Array:
+        """Points (n, 3) moved along its surface by (n, 2) along and up [mm]."""
+        if self.kind != "cylinder":
+            return np.asarray(places + shift @ self.target.axes)
+        (e, n, u), turn = (places - np.array(self.centre)).T, shift[:, 0] / self.radius
+        east, north = e * np.cos(turn) + n * np.sin(turn), n * np.cos(turn) - e * np.sin(turn)
+        return np.asarray(np.array(self.centre) + np.stack([east, north, u + shift[:, 1]], axis=1))
 
     def landing(self, places: ArrayLike, directions: ArrayLike) -> Array:
         """Where rays meet the plane, or the cylinder however high: along and up from the centre [mm], (n, 2)."""

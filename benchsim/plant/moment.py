@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from benchsim.fluxes import product
 from benchsim.fluxes.heliostat import ideal_normal
 from benchsim.fluxes.product import Beams, batches
 from benchsim.instruments.mount.axes import pointing
@@ -18,6 +19,27 @@ from benchsim.plant.shading import lost
 Array = NDArray[np.float64]
 
 NOTHING: Mapping[str, Array] = {}
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard errors of a Monte Carlo.
+
+    Attributes
+    ----------
+    power : (n,)
+        Of each heliostat's power [W].
+    flux : tuple of (along, up) arrays
+        Of each receiver's cells [W/m²].
+    rays : int
+    accuracy : float
+        Relative, of a receiver's power or its brightest cell, the larger.
+    """
+
+    power: Array
+    flux: tuple[Array, ...]
+    rays: int
+    accuracy: float
 
 
 @dataclass(frozen=True)
@@ -62,6 +84,8 @@ class Moment:
     flux: tuple[Array, ...]
     meshes: tuple[Mesh, ...]
     grid: float
+    received: Array
+    noise: Noise | None = None
 
     @property
     def spillage(self) -> Array:
@@ -126,16 +150,13 @@ def moment(
     """
     s, f = np.asarray(sun, float), plant.field
     grids = grids or meshes(plant)
-    n = normals(f, s, errors)
-    beams = Beams(f.position, n, f.width, f.height, plant.spread, f.distance, s)
-    cosine = np.maximum(beams.cosine, 0.0)
-    ray = beams.ray
-    shaded, blocked = lost(f.position, n, f.width, f.height, s, ray, f.distance)
+    beams = _beams(plant, s, errors)
+    cosine, ray = np.maximum(beams.cosine, 0.0), beams.ray
+    shaded, blocked = lost(f.position, beams.normal, f.width, f.height, s, ray, f.distance)
     through = transmitted(f.distance, plant.site.attenuation)
-    o = plant.optics
-    area = f.area / 1e6
-    reflected = irradiance * area * cosine * o.reflectance * (1 - o.soiling)
-    arrives = irradiance * o.reflectance * (1 - o.soiling) * (1 - shaded - blocked) * through
+    clean = irradiance * plant.optics.reflectance * (1 - plant.optics.soiling)
+    reflected = clean * f.area / 1e6 * cosine
+    arrives = clean * (1 - shaded - blocked) * through
     caught, rough, place = np.zeros(len(f)), np.zeros(len(f)), np.full((len(f), 2), np.nan)
     maps = []
     for k, (receiver, mesh) in enumerate(zip(plant.receivers, grids, strict=True)):
@@ -151,7 +172,71 @@ def moment(
         maps.append(total.reshape(mesh.shape))
     whole = f.area * np.maximum(cosine, 1e-12)
     caught, rough = np.clip(caught / whole, 0, 1), rough / whole
+    power = reflected * (1 - shaded - blocked) * through * caught
+    received = np.bincount(f.receiver, power, len(plant.receivers)).astype(float)
     return Moment(
-        s, irradiance, cosine, shaded, blocked, through, caught, reflected * (1 - shaded - blocked) * through * caught,
-        reflected, beams.image_rms, place, tuple(maps), grids, float(np.abs(caught - rough).max()),
+        s, irradiance, cosine, shaded, blocked, through, caught, power, reflected, beams.image_rms, place, tuple(maps),
+        grids, float(np.abs(caught - rough).max()), received,
     )  # fmt: skip
+
+
+def _beams(plant: Plant, sun: Array, errors: Mapping[str, Array]) -> Beams:
+    f = plant.field
+    return Beams(f.position, normals(f, sun, errors), f.width, f.height, plant.spread, f.distance, sun)
+
+
+def shifted(plant: Plant, shift: Array) -> Plant:
+    """A plant whose heliostats aim elsewhere, by (n, 2) along their receivers and up [mm]."""
+    f = plant.field
+    aim = f.aim.copy()
+    for k, receiver in enumerate(plant.receivers):
+        own = f.receiver == k
+        aim[own] = receiver.shifted(aim[own], shift[own])
+    return replace(plant, field=replace(f, aim=aim))
+
+
+def over_limit(plant: Plant, m: Moment) -> Array:
+    """Power above the limits, of each receiver; 0 of those without one [W]."""
+    return np.array(
+        [
+            0.0 if r.peak_limit is None else np.maximum(flux.ravel() - r.peak_limit, 0) @ mesh.weights / 1e6
+            for r, flux, mesh in zip(plant.receivers, m.flux, m.meshes, strict=True)
+        ]
+    )
+
+
+def over_limit_changes(
+    plants: tuple[Plant, Plant], moments: tuple[Moment, Moment], errors: tuple[Mapping[str, Array], Mapping[str, Array]]
+) -> Array:
+    """By how much the power above the limits grows if of all heliostats one alone changes from first to second, (n,) W.
+
+    Parameters
+    ----------
+    plants : (Plant, Plant)
+        Of the same heliostats, which may aim elsewhere.
+    moments : (Moment, Moment)
+        By `moment`, at one sun and on the same meshes.
+    errors : pair of mappings
+        Of the mounts, with which these were made.
+    """
+    p, f = plants[0], plants[0].field
+    out = np.zeros(len(f))
+    clean = p.optics.reflectance * (1 - p.optics.soiling)
+    beams = [_beams(x, m.sun, e) for x, m, e in zip(plants, moments, errors, strict=True)]
+    arrives = [m.irradiance * clean * (1 - m.shaded - m.blocked) * m.transmitted for m in moments]
+    for k, (receiver, mesh) in enumerate(zip(p.receivers, moments[0].meshes, strict=True)):
+        limit = receiver.peak_limit
+        if limit is None:
+            continue
+        flux = moments[0].flux[k].ravel()
+        own = np.flatnonzero(f.receiver == k)
+        for some, lit, before in batches(beams[0].chosen(own), mesh.points, mesh.normals):
+            who = own[some]
+            at = mesh.normals if len(mesh.normals) == 1 else mesh.normals[lit]
+            after = arrives[1][who, None] * product.flux(beams[1].chosen(who), mesh.points[lit], at)
+            change = after - arrives[0][who, None] * before
+            # Most of a receiver is far below its limit.
+            near = flux[lit] + np.maximum(change.max(axis=0), 0) > limit
+            there, weights = flux[lit][near], mesh.weights[lit][near] / 1e6
+            out[who] = (np.maximum(there + change[:, near] - limit, 0) - np.maximum(there - limit, 0)) @ weights
+    return out

@@ -42,6 +42,7 @@ class ReceiverTable(Table):
     height_m: Size
     azimuth_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
     elevation_deg: Annotated[float, Field(ge=-85, le=85)] = 0.0
+    peak_limit_kw_m2: Annotated[float, Field(gt=0, le=1e5)] | None = None
 
 
 class SunTable(Table):

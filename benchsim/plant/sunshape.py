@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,21 @@ class SunShape:
             return float(np.sum(start * (b**one - a**one) / one + slope * (b**two - a**two) / two))
 
         return float(np.sqrt(moment(3) / moment(1) / 2))
+
+    def quantiles(self, count: int = 4096) -> Array:
+        """Angles within which ``count`` even steps of the part of the light, 0 to 1, are reached [rad].
+
+        A Gaussian's sigma alone, as `angle`. Pieces are cut finely enough that radiance times angle is straight there
+        to 1e-4 of the light.
+        """
+        if len(self.angle) == 1:
+            return self.angle
+        fine = np.unique(np.concatenate([np.linspace(a, b, 33) for a, b in pairwise(self.angle)]))
+        fine = np.unique(np.r_[fine, np.linspace(self.angle[0], self.angle[-1], 4 * count)])
+        ring = np.interp(fine, self.angle, self.radiance) * fine
+        power = np.r_[0.0, np.cumsum(np.diff(fine) * (ring[1:] + ring[:-1]) / 2)]
+        lit = np.r_[True, np.diff(power) > 0]
+        return np.interp(np.linspace(0, 1, count), power[lit] / power[-1], fine[lit])
 
 
 def gaussian(sigma: float) -> SunShape:

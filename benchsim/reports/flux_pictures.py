@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -27,16 +29,33 @@ def flux(name: str, kind: str, u: Array, v: Array, values: Array, levels: Sequen
     day : bool
     """
     unit = "kWh/m²" if day else "kW/m²"
-    x, z = u / 1e3, v / 1e3
-    figure = Figure(figsize=(7.2, 5.4), layout="constrained")
-    axes = figure.add_subplot()
-    edges = [np.r_[g - (g[1] - g[0]) / 2, g[-1] + (g[1] - g[0]) / 2] for g in (x, z)]
-    shown = axes.pcolormesh(*edges, values.T, cmap="inferno", vmin=0, rasterized=True)
-    figure.colorbar(shown, ax=axes, label=unit)
+    figure, axes, x, z = _on(kind, u, v, values, {"cmap": "inferno", "vmin": 0}, unit)
     there = sorted({level for level in levels if 0 < level < values.max()})
     if there:
         lines = axes.contour(x, z, values.T, levels=there, colors="white", linewidths=0.8)
         axes.clabel(lines, fmt="%.4g", fontsize=8)
+    axes.set_title(f"{name}: {'energy' if day else 'flux'}, peak {values.max():.4g} {unit}", fontsize=10)
+    return figure
+
+
+def difference(name: str, kind: str, u: Array, v: Array, values: Array, day: bool) -> Figure:
+    """Where two engines part on a receiver, as `flux`: what one has more than the other."""
+    big = float(np.abs(values).max()) or 1.0
+    unit = "kWh/m²" if day else "kW/m²"
+    figure, axes, _, _ = _on(kind, u, v, values, {"cmap": "RdBu_r", "vmin": -big, "vmax": big}, unit)
+    axes.set_title(f"{name}: Monte Carlo less product", fontsize=10)
+    return figure
+
+
+def _on(
+    kind: str, u: Array, v: Array, values: Array, style: Mapping[str, Any], unit: str
+) -> tuple[Figure, Axes, Array, Array]:
+    x, z = u / 1e3, v / 1e3
+    figure = Figure(figsize=(7.2, 5.4), layout="constrained")
+    axes = figure.add_subplot()
+    edges = [np.r_[g - (g[1] - g[0]) / 2, g[-1] + (g[1] - g[0]) / 2] for g in (x, z)]
+    shown = axes.pcolormesh(*edges, values.T, rasterized=True, **style)
+    figure.colorbar(shown, ax=axes, label=unit)
     axes.set_aspect("equal")
     if kind == "cylinder":
         axes.set_xlabel("along the surface from north, through east (m)")
@@ -45,8 +64,7 @@ def flux(name: str, kind: str, u: Array, v: Array, values: Array, levels: Sequen
         axes.set_xlim(edges[0][-1], edges[0][0])
         axes.set_xlabel("along the width, to the left (m)")
     axes.set_ylabel("up from the centre (m)")
-    axes.set_title(f"{name}: {'energy' if day else 'flux'}, peak {values.max():.4g} {unit}", fontsize=10)
-    return figure
+    return figure, axes, x, z
 
 
 def field(position: Array, values: Array, day: bool) -> Figure:

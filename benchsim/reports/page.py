@@ -42,7 +42,7 @@ import jinja2
 from markupsafe import Markup
 
 from benchsim.bench.complaints import UNFILLED
-from benchsim.reports import page_field, page_plots, page_trial, page_words, vocabulary
+from benchsim.reports import page_field, page_flux, page_plots, page_trial, page_words, vocabulary
 
 FORMAT = "benchsim-page/1"
 
@@ -155,6 +155,14 @@ def field_page(field: Mapping[str, Any], title: str, shared: Sequence[str]) -> s
         .get_template("field.html.j2")
         .render(title=title, shared=shared, stamp={}, **page_field.shown(field))
     )
+
+
+def flux_page(
+    flux: Mapping[str, Any], summary: str, header: Sequence[str], rows: Sequence[Sequence[Any]],
+    pictures: Mapping[str, bytes],
+) -> str:  # fmt: skip
+    """HTML of a plant's flux, of what `page_flux.shown` takes."""
+    return _environment().get_template("flux.html.j2").render(**page_flux.shown(flux, summary, header, rows, pictures))
 
 
 def form_page(title: str, folder: str, file: str, form: Mapping[str, Any], column: int) -> str:

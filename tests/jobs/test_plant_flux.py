@@ -47,11 +47,11 @@ def test_a_plant_is_begun_checked_and_computed(tmp_path):
     assert checked.exit_code == 0 and "30 heliostats" in checked.output
     done = run("flux", plant, "--at", NOON, "-o", out, "--level", 10, "--level", 50)
     assert done.exit_code == 0, done.output
-    assert done.output.splitlines()[-1] == f"written: {out}/"
+    assert done.output.splitlines()[-1] == f"written: {out}/; open {out}/report.html"
     names = {p.name for p in out.iterdir()}
     assert names == {
         "benchsim.json", "flux.json", "heliostats.csv", "summary.txt", "flux-receiver.csv", "flux-receiver.png",
-        "field.png",
+        "field.png", "report.html",
     }  # fmt: skip
     plain = json.loads((out / "flux.json").read_text())
     rows = list(csv.DictReader((out / "heliostats.csv").open()))
@@ -92,8 +92,8 @@ def test_a_year_is_a_quarter_of_each_of_four_days():
 
 def test_what_errors_cost_is_ranked_with_its_sigma():
     """A heliostat with a large error comes first and loses what it does not catch any more."""
-    result = bs.flux(PLANTS / "five", day="2026-03-21", errors="drawn", seed=2, rank=True, step=2.0)
-    none = bs.flux(PLANTS / "five", day="2026-03-21", errors="none", step=2.0)
+    result = bs.flux(PLANTS / "five", day="2026-03-21", errors="drawn", seed=2, rank=True, step=4.0, cells=40)
+    none = bs.flux(PLANTS / "five", day="2026-03-21", errors="none", step=4.0, cells=40)
     np.testing.assert_allclose(result.rank.lost, none.total("power") - result.total("power"), atol=1e-9)
     order = [r["id"] for r in result.as_dict()["rank"]]
     assert order[0] == f"H{np.argmax(result.rank.lost) + 1}" and "first to be calibrated" in result.summary()
@@ -121,6 +121,9 @@ def test_errors_are_as_diagnosed_where_a_diagnosis_is_named(tmp_path):
         (["--at", NOON, "--errors", "diagnosed"], "heliostats.diagnosed: is missing"),
         ([], "give one of --at, --day and --year"),
         (["--at", NOON, "--rank"], "give --day or --year"),
+        (["--at", NOON, "--aligned", "2026-06-21T00:00"], "--aligned: the sun is below the horizon"),
+        (["--at", NOON, "--tls", "a", "b", "c"], "give --scheduler too"),
+        (["--at", NOON, "--scheduler", "tcp://127.0.0.1:9"], "without TLS"),
     ],
 )
 def test_what_cannot_be_computed_is_told_in_a_sentence(words, says, tmp_path):
@@ -140,3 +143,43 @@ def test_results_show_themselves():
     result = bs.flux(PLANTS / "five", at=NOON)
     assert len(repr(result)) < 200 and result._repr_html_().count("data:image/png;base64,") == 2
     assert "written" not in result.summary()
+
+
+def test_both_engines_say_where_they_part_and_why(tmp_path, monkeypatch):
+    """Of a Gaussian sun only slopes and what is left are causes; the page and the map hold both."""
+    from benchsim.fluxes import traced
+
+    monkeypatch.setattr(traced, "BATCH", 2**17)
+    out = tmp_path / "out"
+    done = run(
+        "flux", PLANTS / "five", "--at", NOON, "-o", out, "--engine", "both", "--accuracy", 5, "--cells", 30,
+        "--variant", "llvm_ad_mono",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    plain = json.loads((out / "flux.json").read_text())
+    (parting,) = plain["partings"]
+    assert parting["power_kw"]["product"] == pytest.approx(parting["power_kw"]["monte_carlo"], rel=0.02)
+    assert [c["says"].split()[0] for c in parting["causes"]] == ["slopes", "the"]
+    total = np.prod([1 + c["peak"] for c in parting["causes"]])
+    assert total == pytest.approx(parting["peak_kw_m2"]["product"] / parting["peak_kw_m2"]["monte_carlo"], rel=1e-9)
+    cells = list(csv.DictReader((out / "flux-target.csv").open()))
+    assert {"flux_kw_m2", "monte_carlo_flux_kw_m2", "sigma_flux_kw_m2"} < set(cells[0])
+    away = [(float(c["flux_kw_m2"]) - float(c["monte_carlo_flux_kw_m2"])) for c in cells]
+    assert np.sqrt(np.mean(np.square(away))) < 0.05 * max(float(c["flux_kw_m2"]) for c in cells)
+    page = (out / "report.html").read_text()
+    assert (
+        "Where the engines part" in page
+        and page.count("data:image/png;base64,") == 3
+        and "where the engines" in done.output
+    )
+
+
+def test_monte_carlo_alone_gives_the_same_sums(monkeypatch):
+    from benchsim.fluxes import traced
+
+    monkeypatch.setattr(traced, "BATCH", 2**17)
+    result = bs.flux(PLANTS / "five", at=NOON, engine="carlo", accuracy=5, cells=20, variant="llvm_ad_mono")
+    product = bs.flux(PLANTS / "five", at=NOON, cells=20)
+    assert result.total("power").sum() == pytest.approx(product.total("power").sum(), rel=0.01)
+    assert "Monte Carlo" in result.summary() and result.as_dict()["engine"] == "Monte Carlo"
+    assert result.on_receivers()[0] == pytest.approx(result.total("power").sum(), rel=1e-4)

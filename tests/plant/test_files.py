@@ -161,9 +161,11 @@ def test_a_table_that_cannot_be_used_is_told_by_line_and_column(written, says):
     assert says in str(told.value)
 
 
-@pytest.mark.parametrize(("name", "write"), [("five", begun.five), ("radial100", lambda f: begun.radial(f, 100))])
+@pytest.mark.parametrize(
+    ("name", "write"), [("five", begun.five), ("six", begun.six), ("radial100", lambda f: begun.radial(f, 100))]
+)
 def test_shipped_plants_are_those_that_are_made(shipped, tmp_path, name, write):
     write(tmp_path)
     for file in ("plant.toml", "heliostats.csv"):
         assert (shipped / name / file).read_text(encoding="utf-8") == (tmp_path / file).read_text(encoding="utf-8")
-    assert len(files.read(shipped / name).field) == (5 if name == "five" else 100)
+    assert len(files.read(shipped / name).field) == {"five": 5, "six": 6, "radial100": 100}[name]

@@ -73,6 +73,21 @@ def test_drift_is_twice_the_error_times_the_distance(script):
     assert abs(y) == pytest.approx(2 * error * math.sin(angle) * distance, rel=1e-4)
 
 
+def test_fig5_by_the_command_is_that_of_the_vector_model(script):
+    """Of a mirror in its axes, for whose distance from them the plant has no key: to a millimetre and a thousandth."""
+    fig5 = script("fig5")
+    errors = np.array([0.0, 4e-3])
+    hours, drifts = fig5.by_command(errors, "2019-06-21", 240.0, math.radians(5))
+    f = fig5.field(fig5.arguments("").parse_args(["--radius", "0"]))
+    expected = fig5.drift(f, errors, hours)
+    assert len(hours) == 4
+    for stands_for, points in drifts.items():
+        size = np.linalg.norm(expected[stands_for][:, :, 1], axis=-1)
+        away = np.linalg.norm(points - expected[stands_for], axis=-1)
+        # The paper's sun stands a minute of arc from the almanac's.
+        assert away[:, :, 0].max() < 1e-3 and (away[:, :, 1] / size).max() < 2e-3
+
+
 @pytest.mark.parametrize(
     ("hours", "inside", "expected"), [([6, 7, 8, 9], [1, 1, 0, 1], [(6, 7), (9, 9)]), ([6], [0], [])]
 )

@@ -1,0 +1,399 @@
+"""Flux of many heliostats by Monte Carlo in Mitsuba: any sun's shape, facets, neighbours that shade and block.
+
+Nothing is shared with `benchsim.fluxes.product`. A ray starts at a random point of a random facet, a sphere's piece,
+toward a random point of the sun; it is shaded if it meets another mirror there. It is reflected at the facet's normal,
+tilted by a random slope, and turned by the specularity; it is blocked if it meets another mirror before it has gone as
+far as the receiver is, and else meets the first receiver on its way.
+
+Mirrors that shade and block are flat rectangles, one mesh in the plant's frame; a ray leaves its own by starting
+`CLEAR` before its plane. Float32 keeps 6e-8 of a length: 0.06 mm at 1 km. Facets lie in their mirror's plane, each
+tilted toward the point of the axis at the canting's distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from benchsim.renderer.backend import use
+
+Array = NDArray[np.float64]
+
+CLEAR = 5.0
+"""Before a mirror's plane [mm]: beyond its facets' tilt rays start where they are, and float32 is finer than that."""
+
+BATCH = 2**20
+"""Rays of a kernel: arrays of 4 MB, and half a second."""
+
+GROUP = 2**14
+"""Rays that are summed in single precision, at most: to 1e-5."""
+
+MOST = 2**29
+"""Rays at which one gives up, some minutes."""
+
+PASSING = 1e-3
+"""Cosine of incidence below which a mirror reflects nothing."""
+
+DARK = 1e-3
+"""Of the most lit receiver's power: below, a receiver's own accuracy is not waited for."""
+
+
+@dataclass(frozen=True)
+class Mirrors:
+    """Heliostats, n of them.
+
+    Attributes
+    ----------
+    position : (n, 3) mm
+    frame : (n, 3, 3)
+        Rows: across, up and normal.
+    width, height : (n,) mm
+    facets : (n, 2)
+        Across and up.
+    focal, canting, reach : (n,) mm
+        Focal length of the facets, where their axes meet, and how far away the receiver is.
+    passed : (n,)
+        By which what they reflect is multiplied: reflectance and air.
+    specularity : (n,)
+        Standard deviation of the reflected ray in one direction [rad].
+    """
+
+    position: Array
+    frame: Array
+    width: Array
+    height: Array
+    facets: NDArray[np.int64]
+    focal: Array
+    canting: Array
+    reach: Array
+    passed: Array
+    specularity: Array
+
+
+@dataclass(frozen=True)
+class Light:
+    """Where light comes from, and the slopes of all mirrors.
+
+    Attributes
+    ----------
+    sun : (3,)
+        Unit vector toward its centre.
+    angles : (k,)
+        From its centre, at which k even steps of the part of its light within them are reached [rad]; one: a Gaussian's
+        sigma in one direction.
+    slope : float
+        Standard deviation of the normal in one direction [rad].
+    """
+
+    sun: Array
+    angles: Array
+    slope: float
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A receiver: a rectangle that is lit on one side, or an upright cylinder that is lit from outside.
+
+    Attributes
+    ----------
+    round : bool
+    centre : (3,) mm
+    frame : (3, 3)
+        Rows: along, up and outward; of a cylinder east, north and up.
+    width, height : float
+        Of a cylinder the width is its diameter [mm].
+    cells : (int, int)
+        Along, all around from south through west for a cylinder, and up.
+    """
+
+    round: bool
+    centre: Array
+    frame: Array
+    width: float
+    height: float
+    cells: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What was traced, as a multiple of the irradiance on a plane that faces the sun; sums of squares are variances.
+
+    Attributes
+    ----------
+    whole, shaded, blocked : (n,)
+        Of the beam on each mirror [mm²].
+    landed, landed_variance : (n,)
+        On any receiver, of what `Mirrors.passed` leaves [mm²].
+    turn : (n,)
+        Mean square of the light's distance from the central ray, across it at the receiver's distance [mm²].
+    place : (n, 2)
+        Centroid on the receivers, along and up [mm]; nan where nothing lands.
+    maps, variances : tuple of (along, up) arrays
+        Power in each receiver's cells, and its variance [mm², mm⁴].
+    rays : int
+    accuracy : float
+        Largest relative standard error of a receiver's power and of its brightest cell.
+    """
+
+    whole: Array
+    shaded: Array
+    blocked: Array
+    landed: Array
+    landed_variance: Array
+    turn: Array
+    place: Array
+    maps: tuple[Array, ...]
+    variances: tuple[Array, ...]
+    rays: int
+    accuracy: float
+
+
+def trace(
+    mirrors: Mirrors,
+    light: Light,
+    surfaces: tuple[Surface, ...],
+    *,
+    accuracy: float = 0.01,
+    seed: int = 0,
+    variant: str | None = None,
+) -> Traced:
+    """Trace rays until power and brightest cell of every receiver are as sure as wanted.
+
+    Parameters
+    ----------
+    mirrors : Mirrors
+    light : Light
+    surfaces : tuple of Surface
+    accuracy : float
+        Relative standard error.
+    seed : int
+    variant : str, optional
+        Of Mitsuba; see `benchsim.renderer.backend.use`.
+
+    """
+    use(variant)
+    n = len(mirrors.position)
+    groups = max(1, -(-BATCH // n // GROUP))
+    each = max(1, BATCH // (n * groups))
+    count = n * groups * each
+    scene, shapes = _neighbours(mirrors), [_shape(s) for s in surfaces]
+    columns = {name: mi.Float(value.astype(np.float32)) for name, value in _columns(mirrors).items()}
+    angles = mi.Float(light.angles.astype(np.float32))
+    per = np.zeros((len(NAMES), n))
+    maps: list[Any] = [np.zeros((2, *s.cells)) for s in surfaces]
+    rays, reached = 0, np.inf
+    while rays < MOST and reached > accuracy:
+        sums = [dr.zeros(mi.Float, n * groups) for _ in NAMES]
+        bins = [[dr.zeros(mi.Float, s.cells[0] * s.cells[1]) for _ in range(2)] for s in surfaces]
+        ray = dr.arange(mi.UInt32, count)
+        index = ray // dr.opaque(mi.UInt32, each)
+        # A variable, not a literal: one kernel serves all batches. Streams of neighbouring numbers are not independent,
+        # hence the hash.
+        batch = dr.opaque(mi.UInt32, (seed * 1_000_003 + rays // count) % 2**32)
+        state, stream = mi.sample_tea_32(ray, batch)  # type: ignore[call-overload]
+        generator: Any = mi.PCG32(initstate=mi.UInt64(state), initseq=mi.UInt64(stream))  # type: ignore[operator]
+        found = _rays(index // groups, columns, light, angles, generator, scene, shapes)
+        for total, name in zip(sums, NAMES, strict=True):
+            dr.scatter_add(total, found[name], index)
+        for pair, (cell, active) in zip(bins, found["cells"], strict=True):
+            dr.scatter_add(pair[0], found["landed"], cell, active)
+            dr.scatter_add(pair[1], found["landed"] ** 2, cell, active)
+        dr.eval(sums, bins)
+        per += [np.array(x, float).reshape(n, groups).sum(axis=1) for x in sums]
+        for total, pair, s in zip(maps, bins, surfaces, strict=True):
+            total += np.array([np.array(x, float).reshape(s.cells) for x in pair])
+        rays += count
+        reached = _reached(maps)
+    scale = mirrors.width * mirrors.height / (rays / n)
+    got = dict(zip(NAMES, per, strict=True))
+    # Weights in the kernel are of the mirrors' mean area, so that single precision is of no concern.
+    unit = float((mirrors.width * mirrors.height).mean()) / (rays / n)
+    landed = np.maximum(got["landed"], 1e-300)
+    there = got["landed"] > 0
+    place = np.stack([np.where(there, got[k] / landed, np.nan) for k in ("along", "up")], axis=1)
+    through = np.maximum(got["whole"] - got["shaded"] - got["blocked"], 1e-300)
+    return Traced(
+        got["whole"] * scale, got["shaded"] * scale, got["blocked"] * scale, got["landed"] * unit,
+        got["squared"] * unit**2, got["turn"] / through, place, tuple(m[0] * unit for m in maps),
+        tuple(m[1] * unit**2 for m in maps), rays, reached,
+    )  # fmt: skip
+
+
+NAMES = ("whole", "shaded", "blocked", "landed", "squared", "turn", "along", "up")
+"""What is summed for each heliostat: weights of rays, of those that land also their squares and where."""
+
+
+def _reached(maps: list[Array]) -> float:
+    """Relative standard error, of power and brightest cell of every receiver that is lit."""
+    power = [m[0].sum() for m in maps]
+    if not max(power):
+        return float("inf")
+    out = 0.0
+    for (total, squares), p in zip(maps, power, strict=True):
+        if p > DARK * max(power):
+            k = int(total.argmax())
+            out = max(out, np.sqrt(squares.sum()) / p, np.sqrt(squares.flat[k]) / total.flat[k])
+    return float(out)
+
+
+def _columns(m: Mirrors) -> dict[str, Array]:
+    area = m.width * m.height
+    columns = {
+        "width": m.width, "height": m.height, "across": 1.0 * m.facets[:, 0], "up": 1.0 * m.facets[:, 1],
+        "bend": 0.5 / m.focal, "cant": 0.5 / m.canting, "reach": m.reach, "passed": m.passed * area / area.mean(),
+        "gloss": m.specularity,
+    }  # fmt: skip
+    columns |= {f"p{c}": m.position[:, k] for k, c in enumerate("xyz")}
+    return columns | {f"f{i}{j}": m.frame[:, i, j] for i in range(3) for j in range(3)}
+
+
+def _neighbours(m: Mirrors) -> Any:
+    """All mirrors as one mesh of rectangles."""
+    n = len(m.position)
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * np.stack([m.width, m.height], 1)[:, None]
+    points = m.position[:, None] + corners @ m.frame[:, :2]
+    faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(n)[:, None, None]
+    mesh = mi.Mesh("mirrors", vertex_count=4 * n, face_count=2 * n)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = mi.Float(points.ravel().astype(np.float32))
+    parameters["faces"] = mi.UInt32(faces.ravel().astype(np.uint32))
+    parameters.update()
+    return mi.load_dict({"type": "scene", "mirrors": mesh})
+
+
+def _shape(s: Surface) -> tuple[Surface, Any]:
+    """A receiver as a scene of its own, in its own frame."""
+    half = s.height / 2
+    if s.round:
+        shape = {"type": "cylinder", "p0": [0, 0, -half], "p1": [0, 0, half], "radius": s.width / 2}
+    else:
+        shape = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale([s.width / 2, half, 1.0])}
+    return s, mi.load_dict({"type": "scene", "receiver": shape})
+
+
+def _rays(
+    who: Any, columns: dict[str, Any], light: Light, angles: Any, generator: Any, scene: Any, shapes: list[Any]
+) -> dict[str, Any]:
+    """Rays of the heliostats ``who``: their weights by `NAMES`, and for each receiver the cells that they meet."""
+    h = {name: dr.gather(mi.Float, column, who) for name, column in columns.items()}
+    frame = [mi.Vector3f(*(h[f"f{i}{j}"] for j in range(3))) for i in range(3)]
+
+    def uniform() -> Any:
+        return generator.next_float32()
+
+    def scattered(v: Any, sigma: Any) -> Any:
+        g = mi.warp.square_to_std_normal(mi.Point2f(uniform(), uniform())) * sigma
+        about = mi.Frame3f(v)
+        return dr.normalize(v + about.s * g.x + about.t * g.y)
+
+    # Not literals: one kernel serves all plants of a kind.
+    def variable(x: float) -> Any:
+        return dr.opaque(mi.Float, float(x))
+
+    def constant(v: Array) -> Any:
+        return mi.Vector3f(*map(variable, v))
+
+    def world(v: Any) -> Any:
+        return frame[0] * v.x + frame[1] * v.y + frame[2] * v.z
+
+    a, b = (constant(v) for v in np.linalg.svd(light.sun[None])[2][1:])
+    g = _of_the_sun(light, angles, uniform)
+    toward = dr.normalize(constant(light.sun) + a * g.x + b * g.y)
+    sun = mi.Vector3f(*(dr.dot(row, toward) for row in frame))
+
+    # In the mirror's frame: the facet's centre, its own axes, and a point of its sphere.
+    x, y = uniform(), uniform()
+    cx = ((dr.minimum(dr.floor(x * h["across"]), h["across"] - 1) + 0.5) / h["across"] - 0.5) * h["width"]
+    cy = ((dr.minimum(dr.floor(y * h["up"]), h["up"] - 1) + 0.5) / h["up"] - 0.5) * h["height"]
+    x, y = (x - 0.5) * h["width"] - cx, (y - 0.5) * h["height"] - cy
+    axis = dr.normalize(mi.Vector3f(-h["cant"] * cx, -h["cant"] * cy, 1.0))
+    edge = dr.normalize(mi.Vector3f(1.0, 0.0, 0.0) - axis.x * axis)
+    other = dr.cross(axis, edge)
+    nx, ny = -h["bend"] * x, -h["bend"] * y
+    flat = nx * nx + ny * ny
+    steep = dr.sqrt(dr.maximum(1.0 - flat, 0.0))
+    sag = (x * x + y * y) * h["bend"] / (1.0 + steep)
+    normal = edge * nx + other * ny + axis * steep
+    point = mi.Vector3f(cx, cy, 0.0) + edge * x + other * y + axis * sag
+
+    # The beam through the piece of the sphere over an even piece of its chord's plane.
+    weight = dr.maximum(dr.dot(normal, sun), 0.0) / dr.maximum(steep, 0.5)
+    bent = scattered(normal, variable(light.slope))
+    out = scattered(2 * dr.dot(bent, sun) * bent - sun, h["gloss"])
+    there = (sun.z > PASSING) & (out.z > PASSING)
+    weight = dr.select(there, weight, 0.0)
+    centre = mi.Vector3f(h["px"], h["py"], h["pz"])
+
+    def leaving(d: Any) -> Any:
+        return centre + world(point + d * dr.maximum((CLEAR - point.z) / dr.maximum(d.z, PASSING), 0.0))
+
+    shaded = scene.ray_test(mi.Ray3f(leaving(sun), toward), active=there)
+    ray = world(out)
+    way = mi.Ray3f(leaving(out), ray)
+    way.maxt = h["reach"]  # type: ignore[assignment]
+    blocked = scene.ray_test(way, active=there & ~shaded)
+    free = there & ~shaded & ~blocked
+
+    middle = 2 * dr.dot(frame[2], constant(light.sun)) * frame[2] - constant(light.sun)
+    place = world(point)
+    aside = place + ray * ((h["reach"] - dr.dot(place, middle)) / dr.dot(ray, middle)) - middle * h["reach"]
+
+    cells: list[tuple[Any, Any]] = []
+    along, up, nearest = mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
+    for s, shape in shapes:
+        rows = [constant(row) for row in s.frame]
+        local = [mi.Vector3f(*(dr.dot(row, v) for row in rows)) for v in (centre + place - constant(s.centre), ray)]
+        hit = shape.ray_intersect(mi.Ray3f(mi.Point3f(local[0]), local[1]), active=free)
+        q, radius = hit.p, variable(s.width / 2)
+        if s.round:
+            met = free & hit.is_valid() & (q.x * local[1].x + q.y * local[1].y < 0)
+            u, v, extent = dr.atan2(q.x, q.y) * radius, q.z, 2 * dr.pi * radius
+            # About where the mirror stands, lest the centroid of what is lit around south be north.
+            stands = dr.atan2(h["px"] - variable(s.centre[0]), h["py"] - variable(s.centre[1]))
+            turned = u / radius - stands
+            mean = (stands + dr.atan2(dr.sin(turned), dr.cos(turned))) * radius
+        else:
+            met = free & hit.is_valid() & (local[1].z < 0)
+            u, v, extent = q.x, q.y, 2 * radius
+            mean = u
+        first = met & (hit.t < nearest)
+        nearest = dr.select(first, hit.t, nearest)
+        along, up = dr.select(first, mean, along), dr.select(first, v, up)
+        many = [variable(k) for k in s.cells]
+        i, j = (
+            mi.UInt32(dr.clip((w / length + 0.5) * k, 0, k - 1))
+            for w, length, k in ((u, extent, many[0]), (v, variable(s.height), many[1]))
+        )
+        cells = [(cell, active & ~first) for cell, active in cells]
+        cells.append((i * mi.UInt32(many[1]) + j, first))
+    lands = nearest < dr.inf
+    landed = dr.select(lands, weight * h["passed"], 0.0)
+    return {
+        "whole": weight,
+        "shaded": dr.select(shaded, weight, 0.0),
+        "blocked": dr.select(blocked & ~shaded, weight, 0.0),
+        "landed": landed,
+        "squared": landed**2,
+        "turn": dr.select(free, weight * dr.squared_norm(aside), 0.0),
+        "along": landed * along,
+        "up": landed * up,
+        "cells": cells,
+    }
+
+
+def _of_the_sun(light: Light, angles: Any, uniform: Any) -> Any:
+    """A random point of the sun, as tangents from its centre."""
+    if len(light.angles) == 1:
+        g = mi.warp.square_to_std_normal(mi.Point2f(uniform(), uniform()))
+        return g * dr.opaque(mi.Float, float(light.angles[0]))
+    place = uniform() * dr.opaque(mi.Float, len(light.angles) - 1)
+    k = dr.minimum(mi.UInt32(place), mi.UInt32(len(light.angles) - 2))
+    low, high = (dr.gather(mi.Float, angles, k + d) for d in (0, 1))
+    radius = dr.tan(low + (high - low) * (place - mi.Float(k)))
+    sine, cosine = dr.sincos(2 * dr.pi * uniform())
+    return mi.Vector2f(radius * cosine, radius * sine)
