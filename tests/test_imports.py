@@ -23,8 +23,8 @@ ALLOWED = {
     "renderer": {"bench"},
     "reports": {"bench", "calibration", "diagnosis", "rays", "trace", "conics", "vector"},
     "instruments": {"bench", "diagnosis", "rays", "trace", "conics", "vector"},
-    "detectors": {"bench", "vector"},
-    "drone": {"bench", "renderer"},
+    "arrays": {"bench", "vector"},
+    "drones": {"bench", "renderer"},
     "fluxes": {"bench", "vector", "instruments", "renderer"},
     "plant": {"bench", "fluxes", "instruments"},
     "jobs": {

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from benchsim.detectors.fitting import Fit, Whitener, fit, whitener
-from benchsim.detectors.labels import Lines
-from benchsim.detectors.noise import Noise
-from benchsim.detectors.plant import ARRAYS, Plant, prism
-from benchsim.detectors.response import profile, sight
+from benchsim.arrays.fitting import Fit, Whitener, fit, whitener
+from benchsim.arrays.labels import Lines
+from benchsim.arrays.noise import Noise
+from benchsim.arrays.plant import ARRAYS, Plant, prism
+from benchsim.arrays.response import profile, sight
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.drone.heliostat import Index, Mount, Surface, axes, bend, cells, normals, shape
+from benchsim.drones.heliostat import Index, Mount, Surface, axes, bend, cells, normals, shape
 
 Array = NDArray[np.float64]
 

@@ -29,15 +29,15 @@ only; light at the arrays' ends only. What would be noticed by none of these: a 
 not as stated.
 """
 
-from benchsim.detectors.bound import bound
-from benchsim.detectors.crossings import STATES, Crossing, crossings_of
-from benchsim.detectors.labels import Lines, separate
-from benchsim.detectors.loop import Step, close_loop, correction
-from benchsim.detectors.misalignment import OUTCOMES, Measurement, from_crossings, measure
-from benchsim.detectors.noise import Noise, fit_noise
-from benchsim.detectors.plant import ARRAYS, KINDS, Assumptions, Beam, Plant, build, prism, sector
-from benchsim.detectors.response import response, sight
-from benchsim.detectors.signals import Truth, background, clean, draw_truth, record
+from benchsim.arrays.bound import bound
+from benchsim.arrays.crossings import STATES, Crossing, crossings_of
+from benchsim.arrays.labels import Lines, separate
+from benchsim.arrays.loop import Step, close_loop, correction
+from benchsim.arrays.misalignment import OUTCOMES, Measurement, from_crossings, measure
+from benchsim.arrays.noise import Noise, fit_noise
+from benchsim.arrays.plant import ARRAYS, KINDS, Assumptions, Beam, Plant, build, prism, sector
+from benchsim.arrays.response import response, sight
+from benchsim.arrays.signals import Truth, background, clean, draw_truth, record
 
 __all__ = [
     "ARRAYS",

@@ -17,8 +17,8 @@ from skimage.filters import threshold_otsu
 from skimage.measure import label, regionprops
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.drone.flight import Sightings
-from benchsim.drone.heliostat import Design
+from benchsim.drones.flight import Sightings
+from benchsim.drones.heliostat import Design
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.drone.flight import Flight, Heliostat
-from benchsim.drone.heliostat import axes, normals, shape
+from benchsim.drones.flight import Flight, Heliostat
+from benchsim.drones.heliostat import axes, normals, shape
 from benchsim.renderer import backend
 
 Array = NDArray[np.float64]

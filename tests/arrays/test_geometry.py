@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from benchsim import detectors
+from benchsim import arrays
+from benchsim.arrays.crossings import RANGE, family, zero
+from benchsim.arrays.plant import beam
+from benchsim.arrays.response import profile, response, sight
 from benchsim.bench.errors import BenchsimError
-from benchsim.detectors.crossings import RANGE, family, zero
-from benchsim.detectors.plant import beam
-from benchsim.detectors.response import profile, response, sight
 from benchsim.vector import deviation, positions, project, reflect
 
 BODIES = [(k, kind, (e, f)) for k, kind, e, f in [(0, 0, 0.0, 0.0), (1, 1, 4e-3, -6e-3), (3, 0, -5e-3, 3e-3), (5, 1,
@@ -20,7 +20,7 @@ def test_the_crossing_lies_on_the_vector_models_trace(plant, k, kind, misalignme
     the reflected ray of the stated phase (Eqs (9)–(12)) but for u times the distance; and the trace itself crosses
     there.
     """
-    body = detectors.prism(plant, k, kind, misalignment)
+    body = arrays.prism(plant, k, kind, misalignment)
     crossed = 0
     for array in range(2):
         on = plant.member == array
@@ -48,10 +48,10 @@ def test_a_prism_tells_the_other_angle(plant):
     angle = 1e-5
     for k in range(6):
         for kind in range(2):
-            body = detectors.prism(plant, k, kind)
+            body = arrays.prism(plant, k, kind)
             target = np.zeros((1, 3))
             own, other = (
-                sight(detectors.prism(plant, k, kind, angle * np.eye(2)[i]), plant, target)[0]
+                sight(arrays.prism(plant, k, kind, angle * np.eye(2)[i]), plant, target)[0]
                 - sight(body, plant, target)[0]
                 for i in (kind, 1 - kind)
             )
@@ -89,7 +89,7 @@ def test_the_family_is_the_exact_response(plant):
     """What the search for light interpolates over ±15 mrad is what the fit computes, up to a factor, within 1e-3."""
     light = family(plant, 2, 0)
     for angle in (-0.8 * RANGE, 0.3 * RANGE):
-        exact = response(detectors.prism(plant, 2, 0, (0.0, angle)), plant)
+        exact = response(arrays.prism(plant, 2, 0, (0.0, angle)), plant)
         found = light.template(angle)
         factor = np.vdot(found, exact) / np.vdot(found, found).real
         assert np.abs(factor * found - exact).max() < 1e-3 * np.abs(exact).max()
@@ -97,7 +97,7 @@ def test_the_family_is_the_exact_response(plant):
 
 def test_labels_are_dealt_once_and_far_apart(assumptions):
     for count in (1, 2, 7, 50, 100):
-        rates = detectors.plant.labels(count, assumptions)
+        rates = arrays.plant.labels(count, assumptions)
         assert len(np.unique(rates)) == 2 * count
         assert rates.min() == assumptions.rate_low and rates.max() == assumptions.rate_high
         if count > 5:
@@ -106,6 +106,6 @@ def test_labels_are_dealt_once_and_far_apart(assumptions):
 
 def test_what_cannot_be_is_refused(plant):
     with pytest.raises(BenchsimError, match="horizon"):
-        detectors.build(plant.heliostats, (1.0, 0.0, -0.1))
+        arrays.build(plant.heliostats, (1.0, 0.0, -0.1))
     with pytest.raises(BenchsimError, match="rates: give two"):
-        detectors.build(plant.heliostats, plant.source, rates=np.full((6, 2), 90.0))
+        arrays.build(plant.heliostats, plant.source, rates=np.full((6, 2), 90.0))

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.drone.flight import Sightings
-from benchsim.drone.glints import bisector
-from benchsim.drone.heliostat import Mount, SurfaceMap, axes, mapped_slopes, mean_normal, normals
+from benchsim.drones.flight import Sightings
+from benchsim.drones.glints import bisector
+from benchsim.drones.heliostat import Mount, SurfaceMap, axes, mapped_slopes, mean_normal, normals
 
 Array = NDArray[np.float64]
 

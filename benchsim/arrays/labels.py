@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.arrays.plant import Plant
 from benchsim.bench.errors import BenchsimError
-from benchsim.detectors.plant import Plant
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from benchsim.detectors.labels import Lines, differencing
-from benchsim.detectors.plant import Plant
+from benchsim.arrays.labels import Lines, differencing
+from benchsim.arrays.plant import Plant
 
 Array = NDArray[np.float64]
 

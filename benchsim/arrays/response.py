@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from benchsim.detectors.plant import Plant
+from benchsim.arrays.plant import Plant
 from benchsim.vector import Cylinder
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.drone.glints import Glints, glints
-from benchsim.drone.heliostat import (
+from benchsim.drones.glints import Glints, glints
+from benchsim.drones.heliostat import (
     Design,
     Index,
     Mount,
@@ -244,7 +244,7 @@ def seen(heliostat: Heliostat, flight: Flight) -> Glints:
 def read(true: Glints, frames: int, design: Design, errors: Errors, rng: np.random.Generator) -> Sightings:
     """The glints as image processing would read them: misplaced, and with false ones among them.
 
-    In place of pictures; `benchsim.drone.finding` reads them from rendered ones.
+    In place of pictures; `benchsim.drones.finding` reads them from rendered ones.
     """
     points = true.points + errors.detection * rng.standard_normal(true.points.shape)
     false = np.flatnonzero(rng.random(frames) < errors.false_glints)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.drone.heliostat import (
+from benchsim.drones.heliostat import (
     Mount,
     aimed,
     axes,

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.drone.estimate import axis_error, estimate
-from benchsim.drone.finding import find_glints, find_mirror, read_images, to_mirror
-from benchsim.drone.flight import Errors, Flight, Sightings, camera_point, fly, pattern, seen, stand
-from benchsim.drone.heliostat import axes, design_map, four_facets
+from benchsim.drones.estimate import axis_error, estimate
+from benchsim.drones.finding import find_glints, find_mirror, read_images, to_mirror
+from benchsim.drones.flight import Errors, Flight, Sightings, camera_point, fly, pattern, seen, stand
+from benchsim.drones.heliostat import axes, design_map, four_facets
 
 DESIGN = four_facets()
 QUAD = np.array([[20.3, 90.6], [121.2, 89.9], [120.8, 11.1], [19.9, 11.6]])
@@ -71,7 +71,7 @@ def test_a_picture_without_a_mirror_is_refused():
 @pytest.fixture(scope="module")
 def rendered():
     """Frames of a flight that show a glint, every third, photographed."""
-    from benchsim.drone import picture
+    from benchsim.drones import picture
     from benchsim.renderer import backend
 
     try:
@@ -114,7 +114,7 @@ def test_rendered_glints_stand_where_the_law_of_reflection_says(rendered):
 
 
 def test_the_mirror_is_found_in_every_picture(rendered):
-    from benchsim.drone.picture import Camera, looking, outline, project
+    from benchsim.drones.picture import Camera, looking, outline, project
 
     h, flight, images, near = rendered
     for image, expected, eye in zip(images, near, flight.cameras, strict=True):

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from benchsim.detectors.plant import Assumptions, Plant
+from benchsim.arrays.plant import Assumptions, Plant
 
 Array = NDArray[np.float64]
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from benchsim.drone import glints as module
-from benchsim.drone.flight import Errors, camera_point, fly, pattern, seen, stand
-from benchsim.drone.glints import glints
-from benchsim.drone.heliostat import aimed, axes, four_facets, normals, random_surface, shape
+from benchsim.drones import glints as module
+from benchsim.drones.flight import Errors, camera_point, fly, pattern, seen, stand
+from benchsim.drones.glints import glints
+from benchsim.drones.heliostat import aimed, axes, four_facets, normals, random_surface, shape
 
 DESIGN = four_facets()
 

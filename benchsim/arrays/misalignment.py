@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from benchsim.detectors.crossings import RANGE, THRESHOLD, Crossing, Family, crossings_of, family, zero
-from benchsim.detectors.fitting import fit, whitener
-from benchsim.detectors.labels import Lines, separate
-from benchsim.detectors.noise import Noise, fit_noise
-from benchsim.detectors.plant import ARRAYS, KINDS, Plant, prism
-from benchsim.detectors.response import response, sight
+from benchsim.arrays.crossings import RANGE, THRESHOLD, Crossing, Family, crossings_of, family, zero
+from benchsim.arrays.fitting import fit, whitener
+from benchsim.arrays.labels import Lines, separate
+from benchsim.arrays.noise import Noise, fit_noise
+from benchsim.arrays.plant import ARRAYS, KINDS, Plant, prism
+from benchsim.arrays.response import response, sight
 
 Array = NDArray[np.float64]
 

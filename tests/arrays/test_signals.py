@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from benchsim import detectors
-from benchsim.detectors.signals import flicker_density, passage, white_level
+from benchsim import arrays
+from benchsim.arrays.signals import flicker_density, passage, white_level
 
 
 def test_the_brightest_instant_of_a_passage(plant, assumptions):
@@ -18,8 +18,8 @@ def test_the_brightest_instant_of_a_passage(plant, assumptions):
     """
     k, kind = 5, 1
     one = passage(plant, k, kind, np.zeros(2))
-    body = detectors.prism(plant, k, kind)
-    miss, _, weight, _ = detectors.sight(body, plant, plant.detectors[one.detectors])
+    body = arrays.prism(plant, k, kind)
+    miss, _, weight, _ = arrays.sight(body, plant, plant.detectors[one.detectors])
     i = int(np.argmin(np.abs(miss)))
     area = 2 * plant.prism_radius * np.tan(np.pi / plant.facets) * plant.prism_height
     assert one.light[i].max() == pytest.approx(area * plant.beam.radiance(miss[i] ** 2) * weight[i], rel=0.01)
@@ -30,11 +30,11 @@ def test_lines_in_time_are_those_of_the_vector_model(plant, light, truth):
     label; the amplitudes of each prism over all detectors are one factor times the vector model's, within 2e-4 of the
     largest.
     """
-    lines = detectors.separate(light, plant)
+    lines = arrays.separate(light, plant)
     seen = 0
     for k in range(6):
         for kind in range(2):
-            model = detectors.response(detectors.prism(plant, k, kind, truth.misalignment[k]), plant)
+            model = arrays.response(arrays.prism(plant, k, kind, truth.misalignment[k]), plant)
             z = lines.amplitude[k, kind]
             factor = np.vdot(model, z) / np.vdot(model, model).real
             assert np.abs(z - factor * model).max() < 2e-4 * np.abs(z).max()
@@ -46,7 +46,7 @@ def test_lines_in_time_are_those_of_the_vector_model(plant, light, truth):
 
 def test_nothing_passes_but_the_labels(plant, light):
     """The converter's filter: what the lines leave of clean samples is 1e-4 of them."""
-    lines = detectors.separate(light, plant)
+    lines = arrays.separate(light, plant)
     middle = lines.remainder[:, 200:-200]
     assert middle.std() < 1e-4 * np.diff(light, axis=1).std()
 
@@ -60,7 +60,7 @@ def test_facets_that_differ_show_at_the_rate_of_turning(plant, assumptions, trut
     only = truth.transmission * 0
     only[0, 0] = 1.0
     odd = replace(truth, facet_reflectance=dim, transmission=only, rate_error=np.zeros((6, 2)))
-    samples = detectors.clean(plant, assumptions, odd, [0])
+    samples = arrays.clean(plant, assumptions, odd, [0])
     best = samples[np.argmax(samples.std(axis=1))]
     f = plant.rates[0, 0]
     window = signal.windows.blackmanharris(len(best))
@@ -79,7 +79,7 @@ def test_noise_is_as_dense_as_stated(plant, assumptions, truth, steady):
     flickers: 5 s × 60 Hz of the common part scatter by 6 %, so that 20 % is over three sigma.
     """
     dark = np.zeros((len(plant.detectors), plant.samples))
-    samples = detectors.record(plant, assumptions, truth, steady, np.random.default_rng(5), dark)
+    samples = arrays.record(plant, assumptions, truth, steady, np.random.default_rng(5), dark)
     f, power = signal.welch(samples, plant.sample_rate, nperseg=500, axis=1)
     band = (f > 130) & (f < 190)
     expected = white_level(assumptions, steady)[:, None] + steady[:, None] ** 2 * (
@@ -91,6 +91,6 @@ def test_noise_is_as_dense_as_stated(plant, assumptions, truth, steady):
 
 def test_a_seed_is_a_record(plant, assumptions, truth, steady, light):
     one, two, other = (
-        detectors.record(plant, assumptions, truth, steady, np.random.default_rng(s), light) for s in (1, 1, 2)
+        arrays.record(plant, assumptions, truth, steady, np.random.default_rng(s), light) for s in (1, 1, 2)
     )
     assert np.array_equal(one, two) and not np.array_equal(one, other)

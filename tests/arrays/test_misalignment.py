@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchsim import detectors
-from benchsim.detectors.crossings import zero
-from benchsim.detectors.plant import beam
+from benchsim import arrays
+from benchsim.arrays.crossings import zero
+from benchsim.arrays.plant import beam
 
 
 @pytest.fixture(scope="module")
 def records(plant, assumptions, truth, steady):
     """Four records of the same light with noise of their own, measured."""
-    samples = detectors.clean(plant, assumptions, truth)
+    samples = arrays.clean(plant, assumptions, truth)
     return [
-        detectors.measure(
-            detectors.record(plant, assumptions, truth, steady, np.random.default_rng([21, i]), samples), plant
+        arrays.measure(
+            arrays.record(plant, assumptions, truth, steady, np.random.default_rng([21, i]), samples), plant
         )[0]
         for i in range(4)
     ]
@@ -51,8 +51,8 @@ def test_crossings_are_where_the_true_traces_cross(records, plant, truth):
     for found in records:
         for c in (c for m in found for c in m.crossings if c.state == "crosses"):
             on = plant.member == c.array
-            body = detectors.prism(plant, c.heliostat, c.kind, truth.misalignment[c.heliostat])
-            place, _ = zero(plant.along[on], detectors.sight(body, plant, plant.detectors[on])[0])
+            body = arrays.prism(plant, c.heliostat, c.kind, truth.misalignment[c.heliostat])
+            place, _ = zero(plant.along[on], arrays.sight(body, plant, plant.detectors[on])[0])
             # 0.1 mm is what a linear zero between two detectors leaves
             assert abs(c.position - place) < 5 * c.sigma + 0.1
             count += 1
@@ -65,7 +65,7 @@ def test_the_bound_is_reached(records, plant, assumptions, truth, steady):
     """
     short = replace(plant, samples=plant.samples // 4)
     for k in (1, 5):
-        least = detectors.bound(short, assumptions, truth, steady, k) / 4
+        least = arrays.bound(short, assumptions, truth, steady, k) / 4
         stated = np.mean([found[k].covariance for found in records], axis=0)
         assert np.allclose(np.diag(stated) / np.diag(least), 1.02, atol=0.08)
 
@@ -83,7 +83,7 @@ def test_crossings_alone_give_the_angles(records, truth):
 
 
 def test_the_loop_closes(plant, assumptions, truth, steady):
-    steps = detectors.close_loop(plant, assumptions, truth, steady, np.random.default_rng(31), steps=2)
+    steps = arrays.close_loop(plant, assumptions, truth, steady, np.random.default_rng(31), steps=2)
     assert np.abs(steps[0].before).max() > 5e-3
     assert np.abs(steps[-1].after).max() < 1e-4
     assert np.array_equal(steps[1].before, steps[0].after)
@@ -103,8 +103,8 @@ def troubled(plant, assumptions, truth, steady):
     misalignment = truth.misalignment.copy()
     misalignment[2] = 0.06, -0.06
     sick = replace(truth, transmission=transmission, misalignment=misalignment)
-    samples = detectors.record(crowded, assumptions, sick, steady, np.random.default_rng(41))
-    found, lines, noise = detectors.measure(samples, crowded)
+    samples = arrays.record(crowded, assumptions, sick, steady, np.random.default_rng(41))
+    found, lines, noise = arrays.measure(samples, crowded)
     return found, sick, lines, noise
 
 
@@ -112,8 +112,8 @@ def test_each_trouble_has_its_own_outcome(troubled):
     found, _, _, _ = troubled
     for m in found:
         assert m.says
-        assert m.outcome in detectors.OUTCOMES
-        assert all(c.state in detectors.STATES for c in m.crossings)
+        assert m.outcome in arrays.OUTCOMES
+        assert all(c.state in arrays.STATES for c in m.crossings)
     # blocked, with no misalignment in range that would hide it; and so far off that the arrays see nothing of it either
     assert found[0].outcome == found[3].outcome == found[2].outcome == "absent"
     assert found[1].outcome == "one angle" and "azimuth prism gives no light" in found[1].says
@@ -136,7 +136,7 @@ def test_what_is_known_of_a_troubled_heliostat_is_right(troubled):
 
 def test_nothing_is_told_to_drives_of_what_is_not_known(troubled):
     found, _, _, _ = troubled
-    told = detectors.correction(found)
+    told = arrays.correction(found)
     assert np.isfinite(told).all()
     for m in found:
         assert np.array_equal(told[m.heliostat] == 0, np.isnan(m.misalignment))
@@ -147,8 +147,8 @@ def test_noise_is_not_taken_for_light(plant, assumptions, truth, steady):
     bright prisms would be.
     """
     dark = np.zeros((len(plant.detectors), plant.samples))
-    samples = detectors.record(plant, assumptions, truth, steady, np.random.default_rng(51), dark)
-    found, _, _ = detectors.measure(samples, plant)
+    samples = arrays.record(plant, assumptions, truth, steady, np.random.default_rng(51), dark)
+    found, _, _ = arrays.measure(samples, plant)
     assert {m.outcome for m in found} == {"dark"}
 
 
@@ -156,21 +156,19 @@ def test_a_beam_that_is_not_as_stated_is_contradicted(plant, assumptions, truth,
     """Facets four times as wavy as stated blur the beam: near heliostats, whose light is strong, contradict the
     model."""
     wavy = replace(plant, beam=beam(replace(assumptions, facet_error=1e-3)))
-    light = detectors.clean(wavy, assumptions, truth, [0, 2])
-    samples = detectors.record(plant, assumptions, truth, steady, np.random.default_rng(61), light)
-    found, _, _ = detectors.measure(samples, plant)
+    light = arrays.clean(wavy, assumptions, truth, [0, 2])
+    samples = arrays.record(plant, assumptions, truth, steady, np.random.default_rng(61), light)
+    found, _, _ = arrays.measure(samples, plant)
     assert [found[k].outcome for k in (0, 2)] == ["contradictory"] * 2
-    assert not detectors.correction(found)[[0, 2]].any()
+    assert not arrays.correction(found)[[0, 2]].any()
 
 
 def test_blocked_is_not_told_from_missed_where_a_trace_may_miss(plant, assumptions, truth):
     """Arrays of ±14 m: heliostat (a), 208 m away, cannot hide within 10 mrad; (f), 911 m away, can."""
     few = replace(assumptions, array_half_length=14e3)
-    short = detectors.build(plant.heliostats, plant.source, few)
+    short = arrays.build(plant.heliostats, plant.source, few)
     rng = np.random.default_rng(71)
     there = replace(truth, transmission=truth.transmission.copy(), misalignment=np.zeros((6, 2)))
     there.transmission[[0, 5]] = 0.0
-    found, _, _ = detectors.measure(
-        detectors.record(short, few, there, detectors.background(short, few, rng), rng), short
-    )
+    found, _, _ = arrays.measure(arrays.record(short, few, there, arrays.background(short, few, rng), rng), short)
     assert [m.outcome for m in found] == ["absent", "measured", "measured", "measured", "measured", "dark"]

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchsim import detectors
+from benchsim import arrays
+from benchsim.arrays.signals import flicker_density
 from benchsim.bench.errors import BenchsimError
-from benchsim.detectors.signals import flicker_density
 
 
 def sinusoids(plant, amplitude):
@@ -25,7 +25,7 @@ def test_lines_are_found_again(plant):
     rng = np.random.default_rng(1)
     z = draw(plant, rng)
     steady = 100.0 + 0.3 * rng.standard_normal((len(plant.detectors), 1))
-    lines = detectors.separate(sinusoids(plant, z) + steady, plant)
+    lines = arrays.separate(sinusoids(plant, z) + steady, plant)
     assert np.abs(lines.amplitude - z).max() < 1e-9
     assert lines.resolved.all()
     assert np.allclose(lines.gain * plant.duration, 1, rtol=0.01)
@@ -41,7 +41,7 @@ def test_labels_closer_than_the_records_length_are_not_resolved_and_harm_nobody(
     rates[5, 0] = rates[4, 0] - 1.5 / plant.duration
     crowded = replace(plant, rates=rates)
     z = draw(plant, np.random.default_rng(2))
-    lines = detectors.separate(sinusoids(crowded, z), crowded)
+    lines = arrays.separate(sinusoids(crowded, z), crowded)
     lost = np.zeros((6, 2), bool)
     lost[[0, 1], 0] = lost[[2, 3], 1] = True
     assert np.array_equal(~lines.resolved, lost)
@@ -53,9 +53,9 @@ def test_the_noise_is_found_between_the_labels(plant, assumptions, truth, steady
     """Flicker's densities at 150 Hz: its own part, known to 0.6 % from 250 bins of 162 detectors, within 10 %; the
     common part, known to 6 %, within 30 %.
     """
-    samples = detectors.record(plant, assumptions, truth, steady, np.random.default_rng(3), light)
-    lines = detectors.separate(samples, plant)
-    noise = detectors.fit_noise(lines, plant)
+    samples = arrays.record(plant, assumptions, truth, steady, np.random.default_rng(3), light)
+    lines = arrays.separate(samples, plant)
+    noise = arrays.fit_noise(lines, plant)
     local = flicker_density(assumptions, assumptions.flicker_local, 150.0)
     common = flicker_density(assumptions, assumptions.flicker_common, 150.0)
     assert noise.bins > 200
@@ -68,7 +68,7 @@ def test_the_noise_is_found_between_the_labels(plant, assumptions, truth, steady
 
 def test_white_noise_alone_is_not_called_flicker(plant):
     samples = 100 + 0.01 * np.random.default_rng(4).standard_normal((len(plant.detectors), plant.samples))
-    noise = detectors.fit_noise(detectors.separate(samples, plant), plant)
+    noise = arrays.fit_noise(arrays.separate(samples, plant), plant)
     density = noise.density(150.0)
     assert np.allclose(np.diag(density), 2 * 0.01**2 / plant.sample_rate, rtol=0.05)
     assert np.abs(density - np.diag(np.diag(density))).max() < 0.02 * density[0, 0]
@@ -82,4 +82,4 @@ def test_samples_that_cannot_be_used(plant, spoil):
     else:
         samples[3, 4] = np.nan
     with pytest.raises(BenchsimError, match="samples: "):
-        detectors.separate(samples, plant)
+        arrays.separate(samples, plant)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.drone.estimate import axis_error, estimate, sigma_sys
-from benchsim.drone.flight import Errors, Sightings, camera_point, fly, pattern, read, rows, seen, stand
-from benchsim.drone.heliostat import axes, design_map, four_facets
+from benchsim.drones.estimate import axis_error, estimate, sigma_sys
+from benchsim.drones.flight import Errors, Sightings, camera_point, fly, pattern, read, rows, seen, stand
+from benchsim.drones.heliostat import axes, design_map, four_facets
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def survey(
 ) -> tuple[Outcomes, Outcomes]:
     """Fly over clusters that are drawn afresh, each at its own calibration point, and estimate every heliostat.
 
-    The glints come from `benchsim.drone.glints`, not from pictures.
+    The glints come from `benchsim.drones.glints`, not from pictures.
 
     Parameters
     ----------

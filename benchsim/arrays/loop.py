@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.detectors.misalignment import Measurement, measure
-from benchsim.detectors.plant import Assumptions, Plant
-from benchsim.detectors.signals import Truth, record
+from benchsim.arrays.misalignment import Measurement, measure
+from benchsim.arrays.plant import Assumptions, Plant
+from benchsim.arrays.signals import Truth, record
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.drone.estimate import axis_error, estimate, outliers, sigma_sys, turned
-from benchsim.drone.flight import Errors, Sightings, camera_point, fly, half_of, pattern, read, seen, stand
-from benchsim.drone.heliostat import axes, design_map, four_facets
-from benchsim.drone.survey import survey
+from benchsim.drones.estimate import axis_error, estimate, outliers, sigma_sys, turned
+from benchsim.drones.flight import Errors, Sightings, camera_point, fly, half_of, pattern, read, seen, stand
+from benchsim.drones.heliostat import axes, design_map, four_facets
+from benchsim.drones.survey import survey
 
 DESIGN = four_facets()
 # fmt: off

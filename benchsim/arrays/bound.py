@@ -1,7 +1,7 @@
 """The Cramér–Rao bound of a heliostat's misalignment, from the raw samples of the truth's own simulation.
 
-Nothing of the measurement enters: the derivatives are differences of :func:`benchsim.detectors.signals.clean`, samples
-in time, and the noise is what :func:`benchsim.detectors.signals.record` adds. With J the derivatives by (ε, φ) and by
+Nothing of the measurement enters: the derivatives are differences of :func:`benchsim.arrays.signals.clean`, samples
+in time, and the noise is what :func:`benchsim.arrays.signals.record` adds. With J the derivatives by (ε, φ) and by
 each prism's power and phase, Fisher's information is Σ_f 4 J(f)^H Σ(f)⁻¹ J(f) / (samples · rate), over the frequencies
 that the converter passes, Σ(f) the noise's one-sided density over the detectors (Whittle: the record long against the
 noise's memory at the labels). Known without error in it: the other heliostats' light, the steady background, the rates
@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchsim.detectors.plant import Assumptions, Plant
-from benchsim.detectors.signals import Truth, clean, flicker_density, white_level
+from benchsim.arrays.plant import Assumptions, Plant
+from benchsim.arrays.signals import Truth, clean, flicker_density, white_level
 
 Array = NDArray[np.float64]
 
