@@ -31,7 +31,7 @@ not as stated.
 
 from benchsim.arrays.bound import bound
 from benchsim.arrays.crossings import STATES, Crossing, crossings_of
-from benchsim.arrays.labels import Lines, separate
+from benchsim.arrays.labels import Lines, separate, tracked
 from benchsim.arrays.loop import Step, close_loop, correction
 from benchsim.arrays.misalignment import OUTCOMES, Measurement, from_crossings, measure
 from benchsim.arrays.noise import Noise, fit_noise
@@ -70,4 +70,5 @@ __all__ = [
     "sector",
     "separate",
     "sight",
+    "tracked",
 ]

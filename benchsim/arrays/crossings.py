@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from benchsim.arrays.fitting import Fit, Whitener, fit, whitener
-from benchsim.arrays.labels import Lines
+from benchsim.arrays.labels import Lines, uneven
 from benchsim.arrays.noise import Noise
-from benchsim.arrays.plant import ARRAYS, Plant, prism
+from benchsim.arrays.plant import Plant, prism
 from benchsim.arrays.response import profile, sight
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ class Crossing:
     Attributes
     ----------
     heliostat, kind, array : int
-        Indices; into ``KINDS``, into ``ARRAYS``.
+        Indices; into ``KINDS``, into the plant's arrays.
     state : str
         Of :data:`STATES`.
     position, sigma : float
@@ -74,10 +74,6 @@ class Crossing:
     angle: float
     angle_sigma: float
     strength: float
-
-    def __str__(self) -> str:
-        where = f" at {self.position / 1e3:.3f} ± {self.sigma / 1e3:.3f} m" if self.state == "crosses" else ""
-        return f"{ARRAYS[self.array]}: {self.state}{where}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,12 +144,12 @@ def crossings_of(
         :func:`family`, if it is known already.
     """
     if not lines.resolved[heliostat, kind]:
-        return [_none(heliostat, kind, array, "unresolved") for array in range(len(ARRAYS))]
+        return [_none(heliostat, kind, array, "unresolved") for array in range(len(plant.arrays))]
     light = prisms or family(plant, heliostat, kind)
-    density = noise.density(plant.rates[heliostat, kind])
+    density = noise.density(plant.rates[heliostat, kind], uneven(lines, plant, heliostat, kind))
     gain = float(lines.gain[heliostat, kind])
     out = []
-    for array in range(len(ARRAYS)):
+    for array in range(len(plant.arrays)):
         on = np.flatnonzero(plant.member == array)
         white = whitener(density[np.ix_(on, on)], gain)
         data = white(lines.amplitude[heliostat, kind, on])

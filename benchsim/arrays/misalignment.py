@@ -22,9 +22,9 @@ from scipy import stats
 
 from benchsim.arrays.crossings import RANGE, THRESHOLD, Crossing, Family, crossings_of, family, zero
 from benchsim.arrays.fitting import fit, whitener
-from benchsim.arrays.labels import Lines, separate
+from benchsim.arrays.labels import Lines, separate, uneven
 from benchsim.arrays.noise import Noise, fit_noise
-from benchsim.arrays.plant import ARRAYS, KINDS, Plant, prism
+from benchsim.arrays.plant import KINDS, Plant, prism
 from benchsim.arrays.response import response, sight
 
 Array = NDArray[np.float64]
@@ -126,7 +126,10 @@ def _one(plant: Plant, lines: Lines, noise: Noise, k: int) -> tuple[Measurement,
     start = np.zeros(2)
     for kind in lit:
         start[1 - kind] = _best(per[kind]).angle
-    white = {kind: whitener(noise.density(plant.rates[k, kind]), float(lines.gain[k, kind])) for kind in lit}
+    white = {
+        kind: whitener(noise.density(plant.rates[k, kind], uneven(lines, plant, k, kind)), float(lines.gain[k, kind]))
+        for kind in lit
+    }
     data = [white[kind](lines.amplitude[k, kind]) for kind in lit]
 
     def model(theta: Array) -> list[NDArray[np.complex128]]:
@@ -242,7 +245,7 @@ def _least(plant: Plant, lines: Lines, noise: Noise, light: Family, k: int, kind
     density, gain = noise.density(plant.rates[k, kind]), float(lines.gain[k, kind])
     templates = power * light.template(np.linspace(-STATED_RANGE, STATED_RANGE, 27))
     strength = []
-    for array in range(len(ARRAYS)):
+    for array in range(len(plant.arrays)):
         on = np.flatnonzero(plant.member == array)
         strength.append(np.sum(np.abs(whitener(density[np.ix_(on, on)], gain)(templates[:, on])) ** 2, axis=1))
     return float(np.max(strength, axis=0).min())

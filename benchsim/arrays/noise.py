@@ -54,10 +54,10 @@ class Noise:
     steady: Array
     bins: int
 
-    def density(self, rate: float) -> Array:
-        """Σ (m, m) at a frequency [(W/m²)²/Hz]."""
+    def density(self, rate: float, uneven: Array | float = 0.0) -> Array:
+        """Σ (m, m) at a frequency [(W/m²)²/Hz], with what `labels.uneven` says of a label there."""
         fall = (rate / _MIDDLE) ** -self.exponent
-        return np.diag(self.white + self.steady**2 * self.local * fall) + (
+        return np.diag(self.white + self.steady**2 * self.local * fall + uneven) + (
             self.common * fall * np.outer(self.steady, self.steady)
         )
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -86,6 +86,9 @@ class Assumptions:
         Relative rms of a prism's true rate about its label: a quartz clock.
     drive_error : float
         Relative rms by which a drive turns further, or less far, than it is told.
+    gain_spread : float
+        Relative rms of the detectors' responsivities about their mean, as calibrated; the paper's heliostats are so far
+        that it hardly matters.
     """
 
     array_offset: float = 9000.0
@@ -114,6 +117,7 @@ class Assumptions:
     duration: float = 20.0
     rate_error: float = 1e-6
     drive_error: float = 0.02
+    gain_spread: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +143,11 @@ class Beam:
 
 def beam(assumptions: Assumptions) -> Beam:
     """Beam of a facet: the disc's rings, each blurred by an isotropic Gaussian of 2 × the slope error."""
-    rho, blur, u = assumptions.sun_radius, 2 * assumptions.facet_error, assumptions.limb_darkening
+    return _beam(assumptions.sun_radius, 2 * assumptions.facet_error, assumptions.limb_darkening)
+
+
+@lru_cache(maxsize=16)
+def _beam(rho: float, blur: float, u: float) -> Beam:
     nodes, weights = leggauss(400)
     ring, weights = 0.5 * rho * (nodes + 1), 0.5 * rho * weights
     disc = (1 - u * (1 - np.sqrt(1 - (ring / rho) ** 2))) / (np.pi * rho**2 * (1 - u / 3))
@@ -148,6 +156,51 @@ def beam(assumptions: Assumptions) -> Beam:
     # the Gaussian about a ring's point, averaged over the ring: exp(−(r² + θ²)/2σ²) I₀(rθ/σ²), kept from overflow
     spread = np.exp(-0.5 * ((ring - theta) / blur) ** 2) * ive(0, ring * theta / blur**2)
     return Beam(edge, CubicSpline(theta[:, 0] ** 2, spread @ (weights * disc * ring) / blur**2))
+
+
+@dataclass(frozen=True)
+class Line:
+    """One array of detectors: a straight row on the plane x = 0.
+
+    Attributes
+    ----------
+    name : str
+    upright : bool
+        Along z; otherwise along y.
+    offset : float
+        z of an array along y, y of an upright one [mm].
+    low, high : float
+        Where its first detector stands along it, and beyond which there is none [mm].
+    pitch : float
+        [mm]
+    """
+
+    name: str
+    upright: bool
+    offset: float
+    low: float
+    high: float
+    pitch: float
+
+    @property
+    def along(self) -> Array:
+        """Of its detectors [mm]."""
+        count = int((self.high - self.low) / self.pitch + 1e-9) + 1
+        return np.asarray(self.low + self.pitch * np.arange(count), float)
+
+    def places(self, along: Array) -> Array:
+        """(k, 3) of points along it."""
+        zero, off = np.zeros_like(along), np.full_like(along, self.offset)
+        return np.stack([zero, off, along] if self.upright else [zero, along, off], axis=-1)
+
+
+def two_lines(assumptions: Assumptions) -> tuple[Line, ...]:
+    """The paper's arrays."""
+    half = assumptions.array_half_length // assumptions.pitch * assumptions.pitch
+    return tuple(
+        Line(name, upright, assumptions.array_offset, -half, half, assumptions.pitch)
+        for name, upright in zip(ARRAYS, (False, True), strict=True)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +218,7 @@ class Plant:
     detectors : (m, 3) ndarray
         On the plane x = 0, facing +x.
     member : (m,) ndarray of int
-        Index into :data:`ARRAYS`.
+        Index into ``arrays``.
     along : (m,) ndarray
         y of the horizontal array's detectors, z of the vertical one's.
     heliostat_radius, prism_radius, prism_height, facets, sample_rate
@@ -174,6 +227,12 @@ class Plant:
         The light that one point of a facet reflects.
     samples : int
         Per detector and record.
+    arrays : tuple of str
+        Their names.
+    aims : (n, 3) ndarray or None
+        Where the heliostats aim; None: at the origin.
+    gain_spread : float
+        As in :class:`Assumptions`.
     """
 
     heliostats: Array
@@ -189,6 +248,9 @@ class Plant:
     beam: Beam
     sample_rate: float
     samples: int
+    arrays: tuple[str, ...] = ARRAYS
+    aims: Array | None = None
+    gain_spread: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -198,12 +260,32 @@ class Plant:
     @cached_property
     def frames(self) -> Array:
         """Aimed bodies (n, 3, 3): rows n, a_e, a_a of each heliostat."""
-        normals = [ideal_normal(c, self.source, self.heliostat_radius) for c in self.heliostats]
+        from_aim = self.heliostats if self.aims is None else self.heliostats - self.aims
+        if self.heliostat_radius == 0:
+            return _frames(from_aim, self.source)
+        normals = [ideal_normal(c, self.source, self.heliostat_radius) for c in from_aim]
         return np.array([[n, *(rotation_axis(n, kind) for kind in KINDS)] for n in normals])
 
 
+def _frames(from_aim: Array, source: Array) -> Array:
+    """`Plant.frames` where mirrors turn about their own middles: all at once, without iteration."""
+    normals = source - from_aim / np.linalg.norm(from_aim, axis=1, keepdims=True)
+    flat = np.cross([0.0, 0.0, 1.0], normals)
+    lengths = np.linalg.norm(flat, axis=1)
+    if lengths.min() < 1e-9:
+        raise BenchsimError("a heliostat's normal is vertical, so that its elevation axis is not defined; move it")
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    flat /= lengths[:, None]
+    return np.stack([normals, flat, np.cross(normals, flat)], axis=1)
+
+
 def build(
-    heliostats: ArrayLike, source: ArrayLike, assumptions: Assumptions | None = None, rates: ArrayLike | None = None
+    heliostats: ArrayLike,
+    source: ArrayLike,
+    assumptions: Assumptions | None = None,
+    rates: ArrayLike | None = None,
+    lines: Sequence[Line] | None = None,
+    aims: ArrayLike | None = None,
 ) -> Plant:
     """The plant of some heliostats under a sun.
 
@@ -217,6 +299,10 @@ def build(
     rates : (n, 2) array, optional
         Labels [Hz]; default: evenly over the band, dealt so that the two prisms of a heliostat and near
         heliostats are far apart.
+    lines : sequence of Line, optional
+        The arrays; default the two of `two_lines`.
+    aims : (n, 3) array, optional
+        Default the origin [mm].
 
     Raises
     ------
@@ -232,13 +318,14 @@ def build(
         raise BenchsimError(
             f"rates: give two per heliostat, between {a.rate_low:g} and {a.rate_high:g} Hz, where labels are passed"
         )
-    half = int(a.array_half_length // a.pitch)
-    along = a.pitch * np.arange(-half, half + 1)
-    off, zero = np.full_like(along, a.array_offset), np.zeros_like(along)
-    detectors = np.concatenate([np.stack([zero, along, off], -1), np.stack([zero, off, along], -1)])
+    rows = tuple(lines or two_lines(a))
+    along = [r.along for r in rows]
     return Plant(
-        c, s, f, detectors, np.repeat([0, 1], len(along)), np.tile(along, 2), a.heliostat_radius, a.prism_radius,
-        a.prism_height, a.facets, beam(a), a.sample_rate, round(a.duration * a.sample_rate),
+        c, s, f, np.concatenate([r.places(x) for r, x in zip(rows, along, strict=True)]),
+        np.repeat(np.arange(len(rows)), [len(x) for x in along]), np.concatenate(along), a.heliostat_radius,
+        a.prism_radius, a.prism_height, a.facets, beam(a), a.sample_rate, round(a.duration * a.sample_rate),
+        tuple(r.name for r in rows), None if aims is None else np.asarray(aims, float),
+        a.gain_spread,
     )  # fmt: skip
 
 

@@ -251,6 +251,8 @@ def record(
     common = 1 + _flicker(a.flicker_common, a, (1, plant.samples), rng)
     local = 1 + _flicker(a.flicker_local, a, beams.shape, rng)
     total = (steady[:, None] * local + beams) * common
+    if a.gain_spread:
+        total = total * (1 + a.gain_spread * rng.standard_normal((len(total), 1)))
     return total + np.sqrt(white_level(a, total) * plant.sample_rate / 2) * rng.standard_normal(total.shape)
 
 
