@@ -308,7 +308,7 @@ def detectors_read(
         progress("reading", 0.0)
         count = sum(len(line.along) for line in w.lines)
         rate, samples, there = read_record(path, count)
-        scene, remarks = _suited(w.scene(sun, some=some), path, rate, samples, there)
+        scene, samples, remarks = _suited(w.scene(sun, some=some), path, rate, samples, there)
         progress("measuring", 0.2)
         found, _, _ = arrays.measure(samples, arrays.tracked(samples, scene))
         rows = estimates(scene, [p.field.ids[k] for k in w.who[some]], found)
@@ -327,8 +327,10 @@ def detectors_read(
 
 def _suited(
     scene: arrays.Plant, path: Path, rate: float, samples: Array, there: NDArray[np.int_]
-) -> tuple[arrays.Plant, list[str]]:
-    """The scene with the record's detectors, rate and length; remarks where these are not the plan's."""
+) -> tuple[arrays.Plant, Array, list[str]]:
+    """The scene with the record's detectors, rate and length, and the samples that can be used; remarks where these are
+    not the plan's.
+    """
     remarks = []
     if scene.rates.max() > 0.5 * rate:
         raise BenchsimError(
@@ -364,7 +366,7 @@ def _suited(
         scene, detectors=scene.detectors[there], member=member, along=scene.along[there], sample_rate=rate,
         samples=samples.shape[1],
     )  # fmt: skip
-    return new, remarks
+    return new, samples, remarks
 
 
 def _contradictions(rows: list[dict[str, Any]]) -> list[str]:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from PIL import Image
+from scipy.io import wavfile
 
 sys.path.insert(0, str(Path(__file__).parent))
 from mutants import mutants
@@ -28,6 +29,7 @@ from benchsim.calibration import is_camera, read_camera
 from benchsim.instruments.mount import paint, pointing, stated
 from benchsim.intake.photo import read_photo
 from benchsim.jobs import reporting
+from benchsim.jobs.detector_record import read_record
 from benchsim.jobs.field_diagnosis import heliostats
 from benchsim.plant import files as plants
 from benchsim.trial import ledger
@@ -75,6 +77,8 @@ READERS = {
     "mount/mount.toml": session,
     **{f"plant/{name}": plant for name in ("plant.toml", "heliostats.csv", "sun.csv", "field.csv")},
     **{f"plant-{kind}/layout.csv": plant for kind in ("solarpilot", "soltrace")},
+    "record/r.csv": lambda path: read_record(path, 3),
+    "record/r.wav": lambda path: read_record(path, 3),
     "field/field.csv": lambda path: heliostats(path, None),
     **{f"validation/{name}.json": of_folder(reporting.build) for name in ("page", "validation", "conics", "benchsim")},
     **{f"diagnosis/{name}.json": of_folder(reporting.build) for name in ("page", "diagnosis", "pixels", "benchsim")},
@@ -103,6 +107,11 @@ def corpus(tmp_path_factory):
     for name in ("AA01", "AA02"):
         shutil.copytree(folder / "paint" / "AA01", folder / "field" / name)
     shutil.copy(folder / "paint" / "tower-measurements.json", folder / "field")
+    (folder / "record").mkdir()
+    table = np.column_stack([np.arange(250) / 500, np.arange(750).reshape(250, 3) % 9])
+    head = "time_s,detector_1,detector_2,detector_3"
+    np.savetxt(folder / "record" / "r.csv", table, delimiter=",", header=head, comments="", fmt="%.6g")
+    wavfile.write(folder / "record" / "r.wav", 500, table[:, 1:].astype(np.float32))
     (folder / "picture").mkdir()
     counts = np.arange(12 * 16, dtype=np.uint8).reshape(12, 16)
     exif = Image.Exif()
