@@ -394,6 +394,53 @@ def detectors_read(
     )  # fmt: skip
 
 
+drone_app = _plan_or_read(
+    "A drone that looks into a plant's mirrors: planned, or pictures read; 'plan' may be left out", "drone"
+)
+
+
+@drone_app.command("plan")
+def drone_plan(
+    plant: PlantArgument,
+    output: Output = None,
+    virtual: Annotated[bool, typer.Option("--fly", help="Fly it virtually: errors drawn, axes estimated.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the virtual flight.")] = 0,
+    allow_outside: Outside = False,
+    json: Json = False,
+) -> None:
+    """Where a drone has to fly, which heliostats it sees from there, and how well that tells their axes."""
+    from benchsim import jobs
+
+    _do(
+        jobs.drone, json, plant=plant, output=_folder(output, plant, "drone"), virtual=virtual, seed=seed,
+        allow_outside=allow_outside,
+    )  # fmt: skip
+
+
+@drone_app.command("read")
+def drone_read(
+    photos: Annotated[Path, typer.Argument(help="Folder of the pictures of one cluster.")],
+    plant: PlantArgument,
+    camera: Annotated[Path, typer.Option(help="camera.toml of 'benchsim calibrate'.")],
+    output: Output = None,
+    positions: Annotated[
+        Path | None, typer.Option(help="CSV with name and the camera's place in each picture; default EXIF's.")
+    ] = None,
+    cluster: Annotated[
+        int | None, typer.Option(min=1, help="Which of the plan's; default that whose camera point is nearest.")
+    ] = None,
+    allow_outside: Outside = False,
+    json: Json = False,
+) -> None:
+    """From pictures of your own to the heliostats' axes, with their uncertainty."""
+    from benchsim import jobs
+
+    _do(
+        jobs.drone_read, json, photos=photos, plant=plant, camera=camera, output=_folder(output, photos, "read"),
+        positions=positions, cluster=cluster, allow_outside=allow_outside,
+    )  # fmt: skip
+
+
 Amended = Annotated[
     Path, typer.Argument(help="amended.toml of a mount; or a heliostat's properties in the PAINT format.")
 ]

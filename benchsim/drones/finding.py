@@ -69,6 +69,8 @@ def find_mirror(image: Array, near: Array) -> Array:
     # glints are capped, first by what is usual in the picture, which may be the ground, then by the mirror's own level
     dim = np.minimum(image, 3 * np.median(image) + 1e-6)
     level = threshold_otsu(dim)
+    if not (dim > level).any():
+        raise BenchsimError(f"no mirror is seen near pixel {near.mean(axis=0).round()}: all is equally bright")
     sky = np.median(image[dim > level])
     lit = sky > CONTRAST * np.median(image[dim <= level])
     bright = (cv2.GaussianBlur(dim, (0, 0), 1.0) > level).astype(np.uint8)

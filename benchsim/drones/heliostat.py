@@ -38,15 +38,18 @@ class Design:
     size : tuple
         Of a facet along x and y [mm].
     radius : float
-        Of the sphere that the flat facets are canted onto [mm]: twice the focal length.
+        Of the sphere that the facets are canted onto [mm]: twice the focal length.
     offset : (3,) ndarray
         From the crossing of the two axes to the concentrator's origin, in its own frame [mm].
+    curvature : float
+        Of a facet itself [1/mm]; 0: flat.
     """
 
     centres: Array
     size: tuple[float, float]
     radius: float
     offset: Array
+    curvature: float = 0.0
 
     @property
     def cant(self) -> Array:
@@ -177,8 +180,10 @@ def shape(surface: Surface, facet: Index, points: Array) -> tuple[Array, Array]:
     """
     own, k = points - surface.design.centres[facet], surface.wave[facet]
     angle = _angle(surface, facet, own)
+    bent = surface.design.curvature
     height = (surface.cant[facet] * own).sum(axis=1) + surface.amplitude * np.cos(angle).sum(axis=1)
-    slopes = surface.cant[facet] - surface.amplitude * (np.sin(angle)[:, None] @ k)[:, 0]
+    height += 0.5 * bent * (own**2).sum(axis=1)
+    slopes = surface.cant[facet] + bent * own - surface.amplitude * (np.sin(angle)[:, None] @ k)[:, 0]
     return height, slopes
 
 
@@ -186,7 +191,8 @@ def bend(surface: Surface, facet: Index, points: Array) -> Array:
     """(n, 2, 2) second derivatives of the height [1/mm]; arguments as for `shape`."""
     k = surface.wave[facet]
     angle = _angle(surface, facet, points - surface.design.centres[facet])
-    return np.asarray(-surface.amplitude * np.swapaxes(np.cos(angle)[..., None] * k, 1, 2) @ k)
+    waves = -surface.amplitude * np.swapaxes(np.cos(angle)[..., None] * k, 1, 2) @ k
+    return np.asarray(waves + surface.design.curvature * np.eye(2))
 
 
 def _angle(surface: Surface, facet: Index, own: Array) -> Array:
@@ -224,7 +230,10 @@ def cells(design: Design, pitch: float) -> Array:
 
 def design_map(design: Design) -> SurfaceMap:
     """The reference surface by design."""
-    return SurfaceMap(design, design.cant[:, None, None, :])
+    if not design.curvature:
+        return SurfaceMap(design, design.cant[:, None, None, :])
+    own = cells(design, MAP_PITCH) - design.centres[:, None, None, :]
+    return SurfaceMap(design, design.cant[:, None, None, :] + design.curvature * own)
 
 
 def measured_map(surface: Surface) -> SurfaceMap:
@@ -238,7 +247,7 @@ def measured_map(surface: Surface) -> SurfaceMap:
 def distorted(reference: SurfaceMap, slope: float, scale: float, rng: np.random.Generator) -> SurfaceMap:
     """A measured map with a deflectometer's own errors: wavy, 1 sigma ``slope`` per component [rad], ``scale`` [mm]."""
     design = reference.design
-    errors = random_surface(replace(design, radius=math.inf), slope, scale, 0.0, rng)
+    errors = random_surface(replace(design, radius=math.inf, curvature=0.0), slope, scale, 0.0, rng)
     return SurfaceMap(design, reference.slopes + measured_map(errors).slopes)
 
 

@@ -110,6 +110,7 @@ def read(path: Path | str, *, allow_outside: bool = False) -> Plant:
     plant = Plant(
         f.title, file, tuple(dict.fromkeys(files)), site, receivers, field, sun, optics, diagnosed, tuple(remarks),
         sensors.station(f.detector, receivers, field, file), sensors.prisms(f.prisms, file.name),
+        sensors.drone(f.drone),
     )  # fmt: skip
     _check(plant, rows.files[0])
     return plant

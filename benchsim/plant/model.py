@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchsim.fluxes.heliostat import Target, landing, unit
 from benchsim.instruments.mount.records import toward
-from benchsim.plant.station import Prisms, Station
+from benchsim.plant.station import DroneFlight, Prisms, Station
 from benchsim.plant.sunshape import SunShape
 
 Array = NDArray[np.float64]
@@ -278,6 +278,7 @@ class Plant:
         Arrays of detectors.
     prisms : Prisms
         That they see.
+    drone : DroneFlight
     """
 
     title: str
@@ -292,6 +293,7 @@ class Plant:
     remarks: tuple[str, ...] = ()
     station: Station | None = None
     prisms: Prisms = dataclasses.field(default_factory=Prisms)
+    drone: DroneFlight = dataclasses.field(default_factory=DroneFlight)
 
     @property
     def spread(self) -> Array:

@@ -104,6 +104,27 @@ class PrismsTable(Table):
     longest_s: Annotated[float, Field(ge=1, le=600)] = 60.0
 
 
+Millimetres = Annotated[float, Field(ge=0, le=1000)]
+
+
+class DroneTable(Table):
+    distance_m: Annotated[float, Field(ge=20, le=1000)] = 150.0
+    azimuth_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
+    elevation_deg: Annotated[float, Field(ge=5, le=75)] = 35.0
+    pitch_m: Annotated[float, Field(ge=0.05, le=5)] = 0.35
+    seconds_each: Annotated[float, Field(gt=0, le=600)] = 2.0
+    at_once: Annotated[int, Field(ge=1, le=200)] = 12
+    lamp_right_mm: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
+    lamp_up_mm: Annotated[float, Field(ge=-1000, le=1000)] = -120.0
+    rtk_relative_mm: Millimetres = 10.0
+    rtk_absolute_mm: Millimetres = 0.0
+    detection_mm: Millimetres = 20.0
+    position_mm: Millimetres = 10.0
+    kinematics_mm: Millimetres = 30.0
+    canting_mrad: Mrad = 0.4
+    slope_length_m: Annotated[float, Field(ge=0.02, le=10)] = 0.25
+
+
 class PlantFile(Table):
     format: Literal["benchsim-plant/1"]
     title: str = ""
@@ -115,3 +136,4 @@ class PlantFile(Table):
     errors: dict[str, Angle] = Field(default_factory=dict)
     detector: Annotated[list[DetectorTable], Field(max_length=MOST_ARRAYS)] = Field(default_factory=list)
     prisms: PrismsTable = Field(default_factory=PrismsTable)
+    drone: DroneTable = Field(default_factory=DroneTable)

@@ -12,7 +12,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.fluxes.heliostat import unit
 from benchsim.plant import schema
 from benchsim.plant.model import Field, Receiver
-from benchsim.plant.station import DetectorArray, Prisms, Station
+from benchsim.plant.station import DetectorArray, DroneFlight, Prisms, Station
 
 CLEAR = 2e3
 """From a receiver's edge to arrays that a file does not state [mm]: out of its heat, as near the light as can be."""
@@ -60,6 +60,16 @@ def prisms(p: schema.PrismsTable, file: str) -> Prisms:
     return Prisms(
         1e3 * p.radius_m, 1e3 * p.height_m, p.facets, p.reflectance, 1e-3 * p.slope_mrad, p.background_w_m2,
         p.detector_spread, p.rate_low_hz, p.rate_high_hz, p.mains_hz, p.sample_rate_hz, p.record_s, p.longest_s,
+    )  # fmt: skip
+
+
+def drone(d: schema.DroneTable) -> DroneFlight:
+    """As a file states it."""
+    return DroneFlight(
+        1e3 * d.distance_m, None if d.azimuth_deg is None else math.radians(d.azimuth_deg),
+        math.radians(d.elevation_deg), 1e3 * d.pitch_m, d.seconds_each, d.at_once, (d.lamp_right_mm, d.lamp_up_mm),
+        d.rtk_relative_mm, d.rtk_absolute_mm, d.detection_mm, d.position_mm, d.kinematics_mm, 1e-3 * d.canting_mrad,
+        1e3 * d.slope_length_m,
     )  # fmt: skip
 
 

@@ -102,3 +102,46 @@ class Prisms:
     sample_rate: int = 500
     record: float = 20.0
     longest: float = 60.0
+
+
+@dataclass(frozen=True)
+class DroneFlight:
+    """A drone with camera and lamp, and how it is flown: mm, rad, s.
+
+    Attributes
+    ----------
+    distance : float
+        From the middle of heliostats that are looked at together to where they are told to look.
+    azimuth : float or None
+        Toward there, from north through east; None: away from the plant's origin, where no tower stands between.
+    elevation : float
+    pitch : float
+        Of the pattern that is flown about that point.
+    each : float
+        From one picture to the next.
+    at_once : int
+        Heliostats, at most.
+    lamp : (right, up)
+        Beside the camera, as seen along its axis.
+    relative, absolute, detection, position, kinematics : float
+        1 sigma per component, as `benchsim.drones.flight.Errors` has them.
+    canting : float
+        1 sigma of a facet.
+    length : float
+        Of slope errors.
+    """
+
+    distance: float = 150e3
+    azimuth: float | None = None
+    elevation: float = math.radians(35.0)
+    pitch: float = 350.0
+    each: float = 2.0
+    at_once: int = 12
+    lamp: tuple[float, float] = (0.0, -120.0)
+    relative: float = 10.0
+    absolute: float = 0.0
+    detection: float = 20.0
+    position: float = 10.0
+    kinematics: float = 30.0
+    canting: float = 0.4e-3
+    length: float = 250.0
