@@ -11,7 +11,7 @@ draw within ±10 mrad in elevation and azimuth. Per hour, several records of 20 
   traces cross an array at the beginning, by the vector model's own traces).
 
 Pictures: ``detector_pulls.png``, ``detector_loop.png``. What the paper does not print is
-``benchsim.detectors.Assumptions``. About 8 min of CPU; --quick: one hour, one record, fewer bounds.
+``benchsim.arrays.Assumptions``. About 8 min of CPU; --quick: one hour, one record, fewer bounds.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
-from benchsim import detectors
-from benchsim.detectors import Assumptions, Plant, Step, Truth
+from benchsim import arrays
+from benchsim.arrays import Assumptions, Plant, Step, Truth
 from benchsim.vector import deviation, solar_vector, sun_angles
 
 Array = NDArray[np.float64]
@@ -47,12 +47,12 @@ def plant_at(hour: float, count: int, assumptions: Assumptions) -> Plant:
     """The field of ``count`` heliostats, the six of Fig. 4 first, under the sun of June 21."""
     azimuth, elevation = sun_angles(np.radians(LATITUDE), DAY, hour)
     named = [location(text) for text in LOCATIONS][:count]
-    return detectors.build(detectors.sector(named, count), solar_vector(azimuth, elevation), assumptions)
+    return arrays.build(arrays.sector(named, count), solar_vector(azimuth, elevation), assumptions)
 
 
 def crosses(plant: Plant, assumptions: Assumptions, heliostat: int, kind: int, misalignment: Array) -> bool:
     """Whether the vector model's trace goes through one of the arrays."""
-    body = detectors.prism(plant, heliostat, kind, misalignment)
+    body = arrays.prism(plant, heliostat, kind, misalignment)
     points, real = deviation(body, plant.source, np.linspace(-0.13, 0.13, 5201))
     off, half = assumptions.array_offset, assumptions.array_half_length
     for across, along in ((1, 0), (0, 1)):
@@ -81,14 +81,14 @@ def study(hour: float, count: int, records: int, bounds: int, seed: int, a: Assu
     """Pulls and bounds of one hour."""
     rng = np.random.default_rng([seed, round(hour * 100), 1])
     plant = plant_at(hour, count, a)
-    truth = detectors.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (count, 2)), rng)
-    steady = detectors.background(plant, a, rng)
-    light = detectors.clean(plant, a, truth)
+    truth = arrays.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (count, 2)), rng)
+    steady = arrays.background(plant, a, rng)
+    light = arrays.clean(plant, a, truth)
     shape = (records, count, 2)
     error, sigma, c_error, c_sigma = (np.full(shape, np.nan) for _ in range(4))
     outcome = np.empty(shape[:2], dtype="U16")
     for r in range(records):
-        found, _, _ = detectors.measure(detectors.record(plant, a, truth, steady, rng, light), plant)
+        found, _, _ = arrays.measure(arrays.record(plant, a, truth, steady, rng, light), plant)
         for m in found:
             k = m.heliostat
             outcome[r, k] = m.outcome
@@ -101,7 +101,7 @@ def study(hour: float, count: int, records: int, bounds: int, seed: int, a: Assu
     short = replace(plant, samples=plant.samples // 5)
     bound = np.full((count, 2), np.nan)
     for k in range(min(bounds, count)):
-        bound[k] = np.sqrt(np.diag(detectors.bound(short, a, truth, steady, k)) * short.samples / plant.samples)
+        bound[k] = np.sqrt(np.diag(arrays.bound(short, a, truth, steady, k)) * short.samples / plant.samples)
     distance = np.linalg.norm(plant.heliostats, axis=1)
     return Hour(hour, error, sigma, c_error, c_sigma, bound, outcome, distance)
 
@@ -110,9 +110,9 @@ def run_loop(hour: float, count: int, seed: int, a: Assumptions) -> tuple[list[S
     """Three steps of the loop, and whether both traces of each heliostat cross an array at the beginning."""
     rng = np.random.default_rng([seed, round(hour * 100), 2])
     plant = plant_at(hour, count, a)
-    truth: Truth = detectors.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (count, 2)), rng)
+    truth: Truth = arrays.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (count, 2)), rng)
     both = np.array([all(crosses(plant, a, k, kind, truth.misalignment[k]) for kind in range(2)) for k in range(count)])
-    return detectors.close_loop(plant, a, truth, detectors.background(plant, a, rng), rng), both
+    return arrays.close_loop(plant, a, truth, arrays.background(plant, a, rng), rng), both
 
 
 def summary(name: str, values: Array) -> str:
@@ -200,7 +200,7 @@ def draw_pulls(hours: list[Hour]) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=[1, 1.45])
     pulls = np.concatenate([(h.error / h.sigma)[h.outcome == "measured"] for h in hours])
     bins = np.linspace(-4.5, 4.5, 46)
-    for k, kind in enumerate(detectors.KINDS):
+    for k, kind in enumerate(arrays.KINDS):
         left.hist(pulls[:, k], bins, histtype="step", color=COLOURS[k], linewidth=1.6, label=f"{kind}")
     x = np.linspace(-4.5, 4.5, 300)
     left.plot(x, len(pulls) * (bins[1] - bins[0]) * stats.norm.pdf(x), color="#444444", linewidth=1.0, label="normal")

@@ -26,9 +26,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from threadpoolctl import threadpool_limits
 
-from benchsim import detectors
-from benchsim.detectors import KINDS, Assumptions, Plant
-from benchsim.detectors.plant import beam
+from benchsim import arrays
+from benchsim.arrays import KINDS, Assumptions, Plant
+from benchsim.arrays.plant import beam
 from benchsim.vector import deviation
 
 
@@ -43,13 +43,13 @@ def draw_crossings(a: Assumptions, seed: int) -> Figure:
     for h, hour in enumerate(HOURS):
         rng = np.random.default_rng([seed, h, 3])
         plant = plant_at(hour, 6, a)
-        truth = detectors.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (6, 2)), rng)
-        record = detectors.record(plant, a, truth, detectors.background(plant, a, rng), rng)
-        found, _, _ = detectors.measure(record, plant)
+        truth = arrays.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (6, 2)), rng)
+        record = arrays.record(plant, a, truth, arrays.background(plant, a, rng), rng)
+        found, _, _ = arrays.measure(record, plant)
         for k, axes in enumerate(panels):
             for kind in range(2):
                 for misalignment, width, alpha in ((np.zeros(2), 1.4, 1.0), (truth.misalignment[k], 0.7, 0.55)):
-                    body = detectors.prism(plant, k, kind, misalignment)
+                    body = arrays.prism(plant, k, kind, misalignment)
                     points, real = deviation(body, plant.source, np.linspace(-0.3, 0.3, 2401))
                     points = np.where(real[:, None], points, np.nan) / 1e3
                     axes.plot(*points.T, color=COLOURS[kind], linewidth=width, alpha=alpha, linestyle=STYLES[h])
@@ -82,10 +82,10 @@ def draw_spectra(a: Assumptions, seed: int) -> Figure:
     """One record of 100 heliostats at noon, as one detector sees it, and one label along an array."""
     rng = np.random.default_rng([seed, 4])
     plant = plant_at(12.0, 100, a)
-    truth = detectors.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (100, 2)), rng)
-    light = detectors.clean(plant, a, truth)
-    samples = detectors.record(plant, a, truth, detectors.background(plant, a, rng), rng, light)
-    found, lines, noise = detectors.measure(samples, plant)
+    truth = arrays.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (100, 2)), rng)
+    light = arrays.clean(plant, a, truth)
+    samples = arrays.record(plant, a, truth, arrays.background(plant, a, rng), rng, light)
+    found, lines, noise = arrays.measure(samples, plant)
     i = int(np.argmin(np.abs(plant.along) + 1e6 * plant.member))
     figure = Figure(figsize=(12.9, 8.2), layout="constrained")
     top, middle, bottom = figure.subfigures(3, 1, height_ratios=[0.8, 1, 1.1])
@@ -124,7 +124,7 @@ def draw_spectra(a: Assumptions, seed: int) -> Figure:
     for axes, (k, kind) in zip(bottom.subplots(1, 2), ((0, 0), (5, 1)), strict=True):
         on = plant.member == (0 if kind == 0 else 1)
         z = lines.amplitude[k, kind]
-        model = detectors.response(detectors.prism(plant, k, kind, found[k].misalignment), plant)
+        model = arrays.response(arrays.prism(plant, k, kind, found[k].misalignment), plant)
         factor = np.vdot(model, z) / np.vdot(model, model).real
         turned = z * np.exp(-1j * np.angle(factor * np.where(model == 0, 1, model)))
         error = np.sqrt(np.diag(noise.density(plant.rates[k, kind]))[on] * lines.gain[k, kind])
@@ -159,17 +159,17 @@ def close_labels(a: Assumptions, seed: int, records: int = 6) -> list[str]:
     lines = ["labels apart [1/T]   variance × T   outcomes of the two   rms error / sigma of what is known"]
     plant = plant_at(12.0, 6, a)
     rng = np.random.default_rng([seed, 5])
-    truth = detectors.draw_truth(plant, a, rng.uniform(-5e-3, 5e-3, (6, 2)), rng)
-    steady = detectors.background(plant, a, rng)
+    truth = arrays.draw_truth(plant, a, rng.uniform(-5e-3, 5e-3, (6, 2)), rng)
+    steady = arrays.background(plant, a, rng)
     for apart in (0.0, 0.3, 0.7, 0.95, 1.0, 1.3, 2.0, 3.0):
         rates = plant.rates.copy()
         rates[5, 0] = rates[4, 0] + apart / plant.duration
         close = replace(plant, rates=rates)
-        light = detectors.clean(close, a, truth)
+        light = arrays.clean(close, a, truth)
         outcomes: Counter[str] = Counter()
         pulls, gain = [], 0.0
         for _ in range(records):
-            found, apart_lines, _ = detectors.measure(detectors.record(close, a, truth, steady, rng, light), close)
+            found, apart_lines, _ = arrays.measure(arrays.record(close, a, truth, steady, rng, light), close)
             gain = float(apart_lines.gain[4, 0]) * close.duration
             for m in found[4:]:
                 outcomes[m.outcome] += 1
@@ -205,8 +205,8 @@ def blocked(a: Assumptions, seed: int) -> list[str]:
     for hour in HOURS:
         rng = np.random.default_rng([seed, round(hour), 6])
         plant = plant_at(hour, 6, a)
-        truth = detectors.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (6, 2)), rng)
-        steady = detectors.background(plant, a, rng)
+        truth = arrays.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (6, 2)), rng)
+        steady = arrays.background(plant, a, rng)
         shut = truth.transmission.copy()
         shut[[0, 5]] = 0.0
         away = truth.misalignment.copy()
@@ -215,14 +215,14 @@ def blocked(a: Assumptions, seed: int) -> list[str]:
             ("(a) and (f) blocked", replace(truth, transmission=shut)),
             ("(a) and (f) 80 mrad off", replace(truth, misalignment=away)),
         ):
-            found, _, _ = detectors.measure(detectors.record(plant, a, changed, steady, rng), plant)
+            found, _, _ = arrays.measure(arrays.record(plant, a, changed, steady, rng), plant)
             said = ", ".join(f"({NAMES[m.heliostat]}) {m.outcome}" for m in found)
             lines.append(f"{hour:6g}  {what:28s}    {said}")
         few = replace(a, array_half_length=14e3)
         short = plant_at(hour, 6, few)
         there = replace(truth, transmission=shut, misalignment=0 * truth.misalignment)
-        samples = detectors.record(short, few, there, detectors.background(short, few, rng), rng)
-        said = ", ".join(f"({NAMES[m.heliostat]}) {m.outcome}" for m in detectors.measure(samples, short)[0])
+        samples = arrays.record(short, few, there, arrays.background(short, few, rng), rng)
+        said = ", ".join(f"({NAMES[m.heliostat]}) {m.outcome}" for m in arrays.measure(samples, short)[0])
         lines.append(f"{hour:6g}  (a), (f) blocked, arrays ±14 m  {said}")
     return lines
 
@@ -231,14 +231,14 @@ def not_as_stated(a: Assumptions, seed: int) -> list[str]:
     """What 100 heliostats at noon come to if the plant is not as stated."""
     rng = np.random.default_rng([seed, 7])
     plant = plant_at(12.0, 100, a)
-    truth = detectors.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (100, 2)), rng)
-    steady = detectors.background(plant, a, rng)
+    truth = arrays.draw_truth(plant, a, rng.uniform(-LARGEST, LARGEST, (100, 2)), rng)
+    steady = arrays.background(plant, a, rng)
 
     def spread(size: float) -> Array:
         facets = 1 + size * rng.standard_normal(truth.facet_reflectance.shape)
         return np.asarray(facets / facets.mean(axis=-1, keepdims=True))
 
-    cases: list[tuple[str, Plant, detectors.Truth]] = [
+    cases: list[tuple[str, Plant, arrays.Truth]] = [
         ("as stated", plant, truth),
         ("facets' reflectances 0.3 % rms", plant, replace(truth, facet_reflectance=spread(0.003))),
         ("facets' reflectances 2 % rms", plant, replace(truth, facet_reflectance=spread(0.02))),
@@ -248,8 +248,8 @@ def not_as_stated(a: Assumptions, seed: int) -> list[str]:
     ]
     lines = ["plant                              outcomes                                median|error| mrad  pulls_std"]
     for name, real, there in cases:
-        light = detectors.clean(real, a, there)
-        found, _, _ = detectors.measure(detectors.record(plant, a, there, steady, rng, light), plant)
+        light = arrays.clean(real, a, there)
+        found, _, _ = arrays.measure(arrays.record(plant, a, there, steady, rng, light), plant)
         counts = Counter(m.outcome for m in found)
         said = ", ".join(f"{k} {v}" for k, v in counts.most_common())
         both = [m for m in found if np.isfinite(m.covariance).all()]

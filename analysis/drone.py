@@ -29,10 +29,10 @@ from scipy.spatial.distance import cdist
 
 import benchsim  # noqa: F401  (before mitsuba)
 from benchsim.bench.errors import BenchsimError
-from benchsim.drone import picture
-from benchsim.drone.estimate import axis_error, estimate
-from benchsim.drone.finding import find_glints, find_mirror, to_mirror
-from benchsim.drone.flight import (
+from benchsim.drones import picture
+from benchsim.drones.estimate import axis_error, estimate
+from benchsim.drones.finding import find_glints, find_mirror, to_mirror
+from benchsim.drones.flight import (
     Errors,
     Flight,
     Heliostat,
@@ -46,9 +46,9 @@ from benchsim.drone.flight import (
     seen,
     stand,
 )
-from benchsim.drone.glints import glints
-from benchsim.drone.heliostat import axes, design_map, four_facets
-from benchsim.drone.survey import ACROSS, ALONG, DISTANCE, HALF, PITCH, Outcomes, survey
+from benchsim.drones.glints import glints
+from benchsim.drones.heliostat import axes, design_map, four_facets
+from benchsim.drones.survey import ACROSS, ALONG, DISTANCE, HALF, PITCH, Outcomes, survey
 
 Array = NDArray[np.float64]
 

@@ -30,12 +30,16 @@ if TYPE_CHECKING:
     from benchsim.jobs.board_print import board
     from benchsim.jobs.calibrating import calibrate
     from benchsim.jobs.checking import check
+    from benchsim.jobs.detector_record import detectors_read
     from benchsim.jobs.diagnosing import diagnose
+    from benchsim.jobs.drone_photos import drone_read
     from benchsim.jobs.effect_catalogue import effects
     from benchsim.jobs.exporting import export
     from benchsim.jobs.field_diagnosis import field
     from benchsim.jobs.fitting import fit
     from benchsim.jobs.new_recording import new
+    from benchsim.jobs.plant_detectors import detectors
+    from benchsim.jobs.plant_drone import drone
     from benchsim.jobs.plant_flux import flux
     from benchsim.jobs.predicting import predict
     from benchsim.jobs.reporting import report
@@ -45,8 +49,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bench", "BenchsimError", "Camera", "Exposure", "Laser", "Mirror", "Physics", "Recording", "Screen", "Uncertainty",
-    "aim", "board", "calibrate", "check", "diagnose", "effects", "export", "field", "fit", "flux", "load", "new",
-    "predict", "render", "report", "run", "sample", "validate",
+    "aim", "board", "calibrate", "check", "detectors", "detectors_read", "diagnose", "drone", "drone_read", "effects",
+    "export", "field", "fit", "flux", "load", "new", "predict", "render", "report", "run", "sample", "validate",
 ]  # fmt: skip
 
 #: Sentence shown when drjit was imported before benchsim and no libLLVM was chosen; None if all is well.

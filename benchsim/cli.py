@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
+import typer.core
 
 from benchsim.bench.names import printable
 from benchsim.usage import Commands
@@ -338,6 +339,132 @@ def flux(
         step=step, errors=errors and errors.value, seed=seed, aligned=aligned, irradiance=irradiance, cells=cells,
         levels=level or [], engine=engine.value, accuracy=accuracy, variant=variant, rank=rank,
         scheduler=_scheduler(scheduler, tls, insecure), workers=workers, allow_outside=allow_outside,
+    )  # fmt: skip
+
+
+class PlanFirst(typer.core.TyperGroup):
+    """A group whose first command may be left out: ``benchsim detectors PLANT`` plans."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the first command before words that begin with none."""
+        if args and args[0] not in (*self.commands, "--help", "-h"):
+            args = ["plan", *args]
+        return super().parse_args(ctx, args)
+
+
+def _plan_or_read(what: str, name: str) -> typer.Typer:
+    group = typer.Typer(
+        cls=PlanFirst, help=what, no_args_is_help=True, rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )  # fmt: skip
+    app.add_typer(group, name=name)
+    return group
+
+
+detectors_app = _plan_or_read(
+    "Arrays of detectors that watch a plant's heliostats: planned, or a record read; 'plan' may be left out",
+    "detectors",
+)
+
+PlantArgument = Annotated[Path, typer.Argument(help="plant.toml, or the folder that holds it.")]
+
+
+@detectors_app.command("plan")
+def detectors_plan(
+    plant: PlantArgument,
+    output: Output = None,
+    at: Annotated[str | None, typer.Option(help="A time like 2026-06-21T12:00 alone.")] = None,
+    day: Annotated[str | None, typer.Option(help="A date like 2026-06-21 alone.")] = None,
+    year: Annotated[
+        int | None, typer.Option(min=1950, max=2100, help="Whose equinoxes and solstices are taken; default 2026.")
+    ] = None,
+    step: Annotated[float, typer.Option(help="Hours between the times of a day.")] = 1.0,
+    place: Annotated[bool, typer.Option("--place", help="Look for places of the arrays that see the most.")] = False,
+    record: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Simulate a record then, measure it, and correct.")
+    ] = None,
+    errors: Annotated[MountErrors, typer.Option(help="Of the mounts, in the record.")] = MountErrors.drawn,
+    seed: Annotated[int, typer.Option(min=0, help="Of drawn errors and of the record.")] = 0,
+    allow_outside: Outside = False,
+    json: Json = False,
+) -> None:
+    """Which heliostats the arrays see, when, and how well; labels, and the length of a record."""
+    from benchsim import jobs
+
+    if [at, day, year].count(None) < 2:
+        raise typer.BadParameter("give one of --at, --day and --year, or none", param_hint="--at")
+    _do(
+        jobs.detectors, json, plant=plant, output=_folder(output, plant, "detectors"), at=at, day=day, year=year,
+        step=step, place=place, record=record, errors=errors.value, seed=seed, allow_outside=allow_outside,
+    )  # fmt: skip
+
+
+@detectors_app.command("read")
+def detectors_read(
+    record: Annotated[Path, typer.Argument(help="CSV or WAV of the detectors' currents.")],
+    plant: PlantArgument,
+    at: Annotated[str, typer.Option(help="Time of the record's middle.")],
+    output: Output = None,
+    labels: Annotated[
+        Path | None, typer.Option(help="CSV with id, rate_elevation_hz, rate_azimuth_hz; default as planned.")
+    ] = None,
+    round: Annotated[int, typer.Option(min=1, help="Which of the plan's rounds it is.")] = 1,
+    allow_outside: Outside = False,
+    json: Json = False,
+) -> None:
+    """Misalignments from a record of your own, and how to turn each heliostat."""
+    from benchsim import jobs
+
+    _do(
+        jobs.detectors_read, json, record=record, plant=plant, output=_folder(output, record, "read"), at=at,
+        labels=labels, round=round, allow_outside=allow_outside,
+    )  # fmt: skip
+
+
+drone_app = _plan_or_read(
+    "A drone that looks into a plant's mirrors: planned, or pictures read; 'plan' may be left out", "drone"
+)
+
+
+@drone_app.command("plan")
+def drone_plan(
+    plant: PlantArgument,
+    output: Output = None,
+    virtual: Annotated[bool, typer.Option("--fly", help="Fly it virtually: errors drawn, axes estimated.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the virtual flight.")] = 0,
+    allow_outside: Outside = False,
+    json: Json = False,
+) -> None:
+    """Where a drone has to fly, which heliostats it sees from there, and how well that tells their axes."""
+    from benchsim import jobs
+
+    _do(
+        jobs.drone, json, plant=plant, output=_folder(output, plant, "drone"), virtual=virtual, seed=seed,
+        allow_outside=allow_outside,
+    )  # fmt: skip
+
+
+@drone_app.command("read")
+def drone_read(
+    photos: Annotated[Path, typer.Argument(help="Folder of the pictures of one cluster.")],
+    plant: PlantArgument,
+    camera: Annotated[Path, typer.Option(help="camera.toml of 'benchsim calibrate'.")],
+    output: Output = None,
+    positions: Annotated[
+        Path | None, typer.Option(help="CSV with name and the camera's place in each picture; default EXIF's.")
+    ] = None,
+    cluster: Annotated[
+        int | None, typer.Option(min=1, help="Which of the plan's; default that whose camera point is nearest.")
+    ] = None,
+    allow_outside: Outside = False,
+    json: Json = False,
+) -> None:
+    """From pictures of your own to the heliostats' axes, with their uncertainty."""
+    from benchsim import jobs
+
+    _do(
+        jobs.drone_read, json, photos=photos, plant=plant, camera=camera, output=_folder(output, photos, "read"),
+        positions=positions, cluster=cluster, allow_outside=allow_outside,
     )  # fmt: skip
 
 

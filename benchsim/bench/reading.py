@@ -18,10 +18,16 @@ _said = os.environ.get(RAISE, "1")
 RAISED = int(_said) if _said in map(str, range(1, 10_000)) else 1
 
 MIB = 2**20
-TOML_BYTES, TABLE_BYTES, JSON_BYTES, PICTURE_BYTES = (RAISED * n * MIB for n in (1, 16, 64, 512))
+TOML_BYTES, TABLE_BYTES, JSON_BYTES, RECORD_BYTES, PICTURE_BYTES = (RAISED * n * MIB for n in (1, 16, 64, 256, 512))
 """Largest files that are read; the page of the format lists them."""
 
-_KIND = {TOML_BYTES: "a TOML file", TABLE_BYTES: "a table", JSON_BYTES: "a JSON file", PICTURE_BYTES: "a picture"}
+_KIND = {
+    TOML_BYTES: "a TOML file",
+    TABLE_BYTES: "a table",
+    JSON_BYTES: "a JSON file",
+    RECORD_BYTES: "a record",
+    PICTURE_BYTES: "a picture",
+}
 
 MOST_PIXELS = RAISED * 50_000_000
 """Of a picture: the largest sensors of phones, as they are read out in full; 16 bits in colour are 300 MB."""

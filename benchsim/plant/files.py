@@ -17,7 +17,7 @@ from benchsim.bench.complaints import complaint, first
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.paths import FILE, inside
 from benchsim.bench.toml_file import load_toml
-from benchsim.plant import schema, sunshape, tables
+from benchsim.plant import schema, sensors, sunshape, tables
 from benchsim.plant.model import ERRORS, Field, Optics, Plant, Receiver, Site
 from benchsim.plant.tables import AIM, Rows
 
@@ -108,8 +108,10 @@ def read(path: Path | str, *, allow_outside: bool = False) -> Plant:
         files.append(table)
         remarks += said
     plant = Plant(
-        f.title, file, tuple(dict.fromkeys(files)), site, receivers, field, sun, optics, diagnosed, tuple(remarks)
-    )
+        f.title, file, tuple(dict.fromkeys(files)), site, receivers, field, sun, optics, diagnosed, tuple(remarks),
+        sensors.station(f.detector, receivers, field, file), sensors.prisms(f.prisms, file.name),
+        sensors.drone(f.drone),
+    )  # fmt: skip
     _check(plant, rows.files[0])
     return plant
 

@@ -5,6 +5,7 @@ A field is a struct of arrays, one entry for each heliostat, so that ten thousan
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchsim.fluxes.heliostat import Target, landing, unit
 from benchsim.instruments.mount.records import toward
+from benchsim.plant.station import DroneFlight, Prisms, Station
 from benchsim.plant.sunshape import SunShape
 
 Array = NDArray[np.float64]
@@ -283,6 +285,11 @@ class Plant:
         Errors and sigmas as `Field` has them, of a diagnosis; None where the file names none.
     remarks : tuple of str
         What the files leave open, one sentence each.
+    station : Station or None
+        Arrays of detectors.
+    prisms : Prisms
+        That they see.
+    drone : DroneFlight
     """
 
     title: str
@@ -295,6 +302,9 @@ class Plant:
     optics: Optics
     diagnosed: tuple[Mapping[str, Array], Mapping[str, Array]] | None = None
     remarks: tuple[str, ...] = ()
+    station: Station | None = None
+    prisms: Prisms = dataclasses.field(default_factory=Prisms)
+    drone: DroneFlight = dataclasses.field(default_factory=DroneFlight)
 
     @property
     def spread(self) -> Array:

@@ -344,11 +344,16 @@ def paint_tree(folder: Path, tower: Path | None) -> Rows:
     )
 
 
+def geographic(places: Array, origin: Array) -> Array:
+    """East, north, up (n, 3) [mm] of latitude, longitude [deg], height [m] about an origin of that form."""
+    return np.array([enu(p, origin) for p in places])
+
+
 def placed(rows: Rows, origin: Array) -> Array:
     """Positions (n, 3) in mm, of local or geographic columns; ``origin``: latitude, longitude [deg], height [m]."""
     if LOCAL[0] in rows.columns:
         return 1e3 * np.stack([rows.columns[n] for n in LOCAL], axis=1)
-    out = np.array([enu(np.array(p), origin) for p in zip(*(rows.columns[n] for n in GEOGRAPHIC), strict=True)])
+    out = geographic(np.stack([rows.columns[n] for n in GEOGRAPHIC], axis=1), origin)
     far = np.linalg.norm(out, axis=1)
     if far.max() > FAR_MM:
         k = int(far.argmax())

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from PIL import Image
+from scipy.io import wavfile
 
 sys.path.insert(0, str(Path(__file__).parent))
 from mutants import mutants
@@ -28,6 +29,8 @@ from benchsim.calibration import is_camera, read_camera
 from benchsim.instruments.mount import paint, pointing, stated
 from benchsim.intake.photo import read_photo
 from benchsim.jobs import reporting
+from benchsim.jobs.detector_record import read_record
+from benchsim.jobs.drone_photos import gps, read_positions
 from benchsim.jobs.field_diagnosis import heliostats
 from benchsim.plant import files as plants
 from benchsim.trial import ledger
@@ -63,6 +66,11 @@ def plant(path):
     plants.read(path.parent)
 
 
+def photo(path):
+    gps(path)
+    read_photo(path)
+
+
 READERS = {
     "recording/recording.toml": recording,
     "recording/marks.csv": read_marks,
@@ -75,12 +83,15 @@ READERS = {
     "mount/mount.toml": session,
     **{f"plant/{name}": plant for name in ("plant.toml", "heliostats.csv", "sun.csv", "field.csv")},
     **{f"plant-{kind}/layout.csv": plant for kind in ("solarpilot", "soltrace")},
+    "record/r.csv": lambda path: read_record(path, 3),
+    "record/r.wav": lambda path: read_record(path, 3),
+    "record/positions.csv": lambda path: read_positions(path, plants.read(CORPUS / "plant")),
     "field/field.csv": lambda path: heliostats(path, None),
     **{f"validation/{name}.json": of_folder(reporting.build) for name in ("page", "validation", "conics", "benchsim")},
     **{f"diagnosis/{name}.json": of_folder(reporting.build) for name in ("page", "diagnosis", "pixels", "benchsim")},
     "score/score.json": of_folder(reporting.build),
     "ledger/ledger.jsonl": lambda path: ledger.standing(ledger.read(path)),
-    **{f"picture/p.{kind}": read_photo for kind in ("png", "jpg", "tif")},
+    **{f"picture/p.{kind}": photo for kind in ("png", "jpg", "tif")},
 }
 
 
@@ -103,10 +114,17 @@ def corpus(tmp_path_factory):
     for name in ("AA01", "AA02"):
         shutil.copytree(folder / "paint" / "AA01", folder / "field" / name)
     shutil.copy(folder / "paint" / "tower-measurements.json", folder / "field")
+    (folder / "record").mkdir()
+    table = np.column_stack([np.arange(250) / 500, np.arange(750).reshape(250, 3) % 9])
+    head = "time_s,detector_1,detector_2,detector_3"
+    np.savetxt(folder / "record" / "r.csv", table, delimiter=",", header=head, comments="", fmt="%.6g")
+    (folder / "record" / "positions.csv").write_text("name,latitude_deg,longitude_deg,height_m\na.jpg,37.1,-2.4,590\n")
+    wavfile.write(folder / "record" / "r.wav", 500, table[:, 1:].astype(np.float32))
     (folder / "picture").mkdir()
     counts = np.arange(12 * 16, dtype=np.uint8).reshape(12, 16)
     exif = Image.Exif()
     exif[0x0112], exif[0x0110] = 6, "a phone"
+    exif.get_ifd(0x8825).update({1: "N", 2: (37.0, 5.0, 2.5), 3: "W", 4: (2.0, 21.0, 1.5), 6: 590.25})
     Image.fromarray(counts).save(folder / "picture" / "p.jpg", exif=exif)
     cv2.imwrite(str(folder / "picture" / "p.png"), counts.astype(np.uint16) * 257)
     cv2.imwrite(str(folder / "picture" / "p.tif"), counts)

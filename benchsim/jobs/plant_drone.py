@@ -1,0 +1,353 @@
+"""``benchsim drone``: a flight over a plant planned, with the uncertainty to be expected, and flown virtually."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.bench.writing import write_csv, write_text
+from benchsim.drones.estimate import FEWEST, Pointing, axis_error, estimate
+from benchsim.drones.flight import fly, read, seen, stand
+from benchsim.drones.heliostat import design_map
+from benchsim.jobs.drone_cluster import ENU, Cluster, clusters
+from benchsim.jobs.output import wanted_folder, written
+from benchsim.jobs.progress import Progress, silent
+from benchsim.jobs.shown import Shown
+from benchsim.plant import files
+from benchsim.plant.model import Plant
+from benchsim.reports import drone_pictures
+from benchsim.reports.pictures import save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+FORMAT = "benchsim-drone/1"
+
+CLIMB = 5.0
+"""Lowest height of the drone over the highest mirror [m]."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What a virtual flight told of one heliostat: error and stated sigma of its axis about x and y [rad]."""
+
+    glints: int
+    outliers: int
+    error: tuple[float, float]
+    sigma_mean: tuple[float, float]
+    sigma_sys: float
+    says: str = ""
+
+    @property
+    def pull(self) -> Array:
+        """(2,) errors over the stated sigma."""
+        return np.asarray(np.array(self.error) / np.hypot(self.sigma_mean, self.sigma_sys))
+
+
+@dataclass(frozen=True, repr=False)
+class DroneResult(Shown):
+    """A flight over a plant.
+
+    Attributes
+    ----------
+    plant : Plant
+    clusters : tuple of Cluster
+    hidden : mapping of int to bool
+        Whether another mirror of the cluster stands before a heliostat of the field.
+    flown : mapping of int to Flown, or None
+        By index into the field.
+    seed : int
+    folder : Path or None
+    """
+
+    plant: Plant
+    clusters: tuple[Cluster, ...]
+    hidden: dict[int, bool]
+    flown: dict[int, Flown] | None = None
+    seed: int = 0
+    folder: Path | None = None
+
+    def rows(self) -> list[dict[str, Any]]:
+        """For each heliostat: cluster, where it has to look, pictures that show it, and what is to be expected."""
+        out: list[dict[str, Any]] = []
+        f = self.plant.field
+        for c in self.clusters:
+            east = c.target @ ENU + c.middle
+            for k in c.who:
+                mount, frames = c.mount(int(k)), c.seen(int(k))
+                width, mean, system = c.sigma(int(k))
+                row: dict[str, Any] = {"id": f.ids[k], "cluster": c.number}
+                row |= dict(zip(("aim_east_m", "aim_north_m", "aim_up_m"), (east / 1e3).tolist(), strict=True))
+                row |= {
+                    "azimuth_deg": float(np.degrees(mount.azimuth)) % 360,
+                    "elevation_deg": float(np.degrees(mount.elevation)),
+                    "distance_m": c.distance(int(k)) / 1e3,
+                    "first_picture": int(frames[0]) + 1 if len(frames) else None,
+                    "last_picture": int(frames[-1]) + 1 if len(frames) else None,
+                    "pictures": len(frames),
+                    "glints": c.glints(int(k)),
+                    "pictures_with_glints": c.frames(int(k)),
+                    "hidden": int(self.hidden[int(k)]),
+                    "sigma_ad_mrad": 1e3 * width,
+                    "sigma_mean_mrad": 1e3 * mean,
+                    "sigma_sys_mrad": 1e3 * system,
+                    "sigma_mrad": 1e3 * float(np.hypot(mean, system)),
+                }
+                if self.flown is not None:
+                    one = self.flown[int(k)]
+                    row |= {
+                        "flown_glints": one.glints,
+                        "flown_outliers": one.outliers,
+                        "error_x_mrad": None if one.says else 1e3 * one.error[0],
+                        "error_y_mrad": None if one.says else 1e3 * one.error[1],
+                        "flown_sigma_mrad": None
+                        if one.says
+                        else 1e3 * float(np.hypot(max(one.sigma_mean), one.sigma_sys)),
+                        "says": one.says,
+                    }
+                out.append(row)
+        return out
+
+    @property
+    def pictures(self) -> int:
+        """Of all clusters."""
+        return sum(len(c.route[0]) for c in self.clusters)
+
+    def pulls(self) -> Array:
+        """Errors over stated sigmas of the virtual flight."""
+        some = [x.pull for x in (self.flown or {}).values() if not x.says]
+        return np.concatenate(some) if some else np.zeros(0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for ``drone.json``."""
+        pulls = self.pulls()
+        return {
+            "format": FORMAT,
+            "title": self.plant.title,
+            "pictures": self.pictures,
+            "seconds": self.pictures * self.plant.drone.each,
+            "clusters": [
+                {
+                    "number": c.number,
+                    "heliostats": [self.plant.field.ids[k] for k in c.who],
+                    "pictures": len(c.route[0]),
+                    "camera_point": dict(
+                        zip(("latitude_deg", "longitude_deg", "height_m"), c.geographic(c.target[None])[0], strict=True)
+                    ),
+                }
+                for c in self.clusters
+            ],
+            "flown": None
+            if self.flown is None
+            else {
+                "seed": self.seed,
+                "estimated": len(pulls) // 2,
+                "pulls_rms": float(np.sqrt(np.mean(pulls**2))) if len(pulls) else None,
+                "within_one_sigma": float(np.mean(np.abs(pulls) < 1)) if len(pulls) else None,
+            },
+            "heliostats": self.rows(),
+            "remarks": list(self.plant.remarks),
+        }
+
+    def text(self) -> str:
+        """Plain sentences for ``summary.txt``."""
+        f, d, rows = self.plant.field, self.plant.drone, self.rows()
+        name = self.plant.title or self.plant.path.resolve().parent.name
+        sigma = np.array([[r["sigma_mean_mrad"], r["sigma_sys_mrad"], r["sigma_mrad"]] for r in rows])
+        middle = np.median(sigma, axis=0)
+        heights = [float(x) for c in self.clusters for x in ((c.route[0][:, 2] + c.middle[2]) / 1e3)[[0, -1]]]
+        minutes = self.pictures * d.each / 60
+        lines = [
+            f"{name}: {len(f)} heliostats in {len(self.clusters)} clusters, {self.pictures} pictures "
+            f"{d.pitch / 1e3:g} m apart, {min(heights):.0f} to {max(heights):.0f} m over the origin, {minutes:.0f} min "
+            "of pictures",
+            f"  expected of each axis (medians): sigma_mean {middle[0]:.2g}, sigma_sys {middle[1]:.2g}, together "
+            f"{middle[2]:.2g} mrad; largest {sigma[:, 2].max():.2g} mrad",
+        ]
+        few = sum(r["glints"] < 2 * FEWEST for r in rows)
+        if few:
+            lines.append(f"  {few} heliostats show fewer than {2 * FEWEST} glints; make drone.pitch_m smaller")
+        if any(self.hidden.values()):
+            lines.append(f"  {sum(self.hidden.values())} heliostats stand behind others; look from higher up")
+        if min(heights) < CLIMB + float(f.position[:, 2].max()) / 1e3:
+            lines.append("  the drone would come too near to the mirrors; make drone.elevation_deg larger")
+        if self.flown is not None:
+            pulls = self.pulls()
+            errors = np.array([x.error for x in self.flown.values() if not x.says])
+            said = len(self.flown) - len(errors)
+            if len(errors):
+                lines.append(
+                    f"  flown virtually, seed {self.seed}: errors {1e3 * np.sqrt(np.mean(errors**2)):.2g} mrad rms, "
+                    f"{np.sqrt(np.mean(pulls**2)):.2f} of the stated sigma; within one sigma "
+                    f"{100 * np.mean(np.abs(pulls) < 1):.0f} %"
+                )
+            if said:
+                lines.append(f"  of {said} heliostats nothing could be said, see heliostats.csv")
+        return "\n".join([*lines, *self.plant.remarks])
+
+    def summary(self) -> str:
+        """What a person wants to know, on a terminal."""
+        plant = self.plant.path.parent
+        step = (
+            f"benchsim drone plan {plant} --fly flies it virtually"
+            if self.flown is None
+            else f"benchsim drone read PHOTOS {plant} --camera camera.toml evaluates your own pictures"
+        )
+        return self.text() + written(self.folder) + f"\nnext: {step}"
+
+    def figures(self) -> list[Figure]:
+        """The plan, and the errors of a virtual flight."""
+        rows = {r["id"]: r for r in self.rows()}
+        f = self.plant.field
+        sigma = np.array([rows[i]["sigma_mrad"] for i in f.ids])
+        of = np.array([rows[i]["cluster"] for i in f.ids])
+        points = [c.route[0] @ ENU + c.middle for c in self.clusters]
+        out = [drone_pictures.plan(f.position, of, sigma, points)]
+        if self.flown is not None and len(self.pulls()):
+            out.append(drone_pictures.pulls(self.pulls()))
+        return out
+
+
+@threadpool_limits.wrap(limits=1)
+def drone(
+    plant: Plant | Path | str,
+    output: Path | str | None = None,
+    *,
+    virtual: bool = False,
+    seed: int = 0,
+    allow_outside: bool = False,
+    progress: Progress = silent,
+) -> DroneResult:
+    """Plan a drone's flight over a plant: where from which heliostat shows its lamp, and how well that tells its axis.
+
+    Parameters
+    ----------
+    plant : path
+        ``plant.toml``, or the folder that holds it.
+    output : path, optional
+        Folder for ``drone.json``, ``waypoints.csv``, ``flight.kml``, ``heliostats.csv``, pictures and ``summary.txt``;
+        default: nothing is written.
+    virtual : bool
+        Fly it: errors drawn, glints computed, axes estimated.
+    seed : int
+        Of the virtual flight.
+    allow_outside : bool
+        Whether the plant's tables may lie outside of its folder.
+    progress : callable
+
+    Returns
+    -------
+    DroneResult
+
+    Raises
+    ------
+    BenchsimError
+        If the plant cannot be used, or such a pattern not be flown.
+    """
+    p = plant if isinstance(plant, Plant) else files.read(plant, allow_outside=allow_outside)
+    if p.field.kinematics != "az-el":
+        raise BenchsimError(
+            f"{p.path.name}: heliostats.kinematics: the drone's estimate turns azimuth and elevation; "
+            f"{p.field.kinematics} mounts are not read by it"
+        )
+    parts = clusters(p)
+    hidden: dict[int, bool] = {}
+    for k, c in enumerate(parts):
+        progress("plan", 0.1 * k / len(parts))
+        hidden |= dict(zip(c.who.tolist(), c.hidden().tolist(), strict=True))
+    with wanted_folder(output, "drone", p.files, {"virtual": virtual, "seed": seed}) as staging:
+        flown = _flown(parts, seed, lambda done: progress("flight", 0.1 + 0.85 * done)) if virtual else None
+        result = DroneResult(p, tuple(parts), hidden, flown, seed, None if output is None else Path(output))
+        if staging is not None:
+            _write(result, staging)
+    progress("done", 1.0)
+    return result
+
+
+def _flown(parts: list[Cluster], seed: int, told: Callable[[float], None]) -> dict[int, Flown]:
+    out: dict[int, Flown] = {}
+    rng = np.random.default_rng([seed, 48])
+    count = sum(len(c.who) for c in parts)
+    for c in parts:
+        errors = c.errors()
+        flight = fly(c.target, c.route, errors, rng)
+        lamps = c.lamps - (flight.lamps[0] - flight.cameras[0])
+        flight = type(flight)(
+            flight.target, flight.cameras, flight.lamps + lamps, flight.said_cameras, flight.said_lamps + lamps
+        )
+        for k in c.who:
+            told(len(out) / count)
+            design = c.design(int(k))
+            (h,) = stand([c.place(int(k))], design, c.target, errors, rng)
+            sightings = read(seen(h, flight), len(flight.cameras), design, errors, rng)
+            system = c.sigma(int(k))[2]
+            try:
+                e = estimate(sightings, flight.said_cameras, flight.said_lamps, h.said, design_map(design))
+            except BenchsimError as error:
+                out[int(k)] = Flown(len(sightings.frame), 0, (np.nan, np.nan), (np.nan, np.nan), system, str(error))
+                continue
+            off = axis_error(e, h.mount, h.axis)
+            mean = stated(e)
+            out[int(k)] = Flown(
+                len(sightings.frame), int((~e.kept).sum()), (float(off[0]), float(off[1])),
+                (float(mean[0]), float(mean[1])), system,
+            )  # fmt: skip
+    return out
+
+
+def stated(pointing: Pointing) -> Array:
+    """(2,) σ_mean that is stated [rad]: the paper's, or that with a picture's glints as one draw where it is larger."""
+    return np.maximum(pointing.sigma_mean, pointing.sigma_mean_frames)
+
+
+def _write(r: DroneResult, folder: Path) -> None:
+    header = [
+        "cluster", "picture", "time_s", "latitude_deg", "longitude_deg", "height_m", "east_m", "north_m", "up_m",
+        "camera_azimuth_deg", "camera_elevation_deg",
+    ]  # fmt: skip
+    rows, lines, start = [], [], 0.0
+    for c in r.clusters:
+        points = c.route[0]
+        places = c.geographic(points)
+        east = (points @ ENU + c.middle) / 1e3
+        away = -points
+        azimuth = np.degrees(np.arctan2(-away[:, 1], away[:, 0])) % 360
+        high = np.degrees(np.arcsin(away[:, 2] / np.linalg.norm(away, axis=1)))
+        for k in range(len(points)):
+            # Strings: a place to the millimetre needs ten digits, a height seven.
+            where = [f"{places[k, 0]:.9f}", f"{places[k, 1]:.9f}", f"{places[k, 2]:.3f}"]
+            rest = [f"{x:.3f}" for x in (*east[k], azimuth[k], high[k])]
+            rows.append([c.number, k + 1, f"{start + k * r.plant.drone.each:g}", *where, *rest])
+        start += len(points) * r.plant.drone.each
+        path = " ".join(f"{lon:.9f},{lat:.9f},{h:.3f}" for lat, lon, h in places)
+        names = escape(", ".join(r.plant.field.ids[k] for k in c.who))
+        lines.append(
+            f"<Placemark><name>cluster {c.number}</name><description>{names}</description><LineString>"
+            f"<altitudeMode>absolute</altitudeMode><coordinates>{path}</coordinates></LineString></Placemark>"
+        )
+    write_csv(folder / "waypoints.csv", header, rows)
+    write_text(
+        folder / "flight.kml",
+        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'
+        + "\n".join(lines)
+        + "\n</Document></kml>\n",
+    )
+    table = r.rows()
+    write_csv(folder / "heliostats.csv", list(table[0]), (row.values() for row in table), 9)
+    first, *more = r.figures()
+    save(first, folder / "plan.png")
+    for figure in more:
+        save(figure, folder / "errors.png")
+    write_text(folder / "drone.json", json.dumps(r.as_dict(), indent=1, allow_nan=False) + "\n")
+    write_text(folder / "summary.txt", r.text() + "\n")

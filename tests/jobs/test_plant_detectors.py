@@ -1,0 +1,141 @@
+"""``benchsim detectors``: planned, a record simulated, and the same record read back by the command alone."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+from typer.testing import CliRunner
+
+import benchsim as bs
+from benchsim.cli import app
+
+NOON = "2026-03-21T12:00"
+TEXT = """\
+format = "benchsim-plant/1"
+title = "Six"
+[site]
+latitude_deg = 37.0
+longitude_deg = -2.0
+time_zone = "Europe/Madrid"
+[[receiver]]
+name = "receiver"
+centre_m = [0.0, 0.0, 40.0]
+width_m = 2.0
+height_m = 2.0
+[optics]
+slope_mrad = 1.0
+reflectance = 0.9
+[heliostats]
+width_m = 4.0
+height_m = 3.0
+[errors]
+IA_sigma_mrad = 1.0
+IE_sigma_mrad = 1.0
+[prisms]
+record_s = 4
+longest_s = 8
+"""
+ARRAY = '[[detector]]\nname = "{}"\nalong = "{}"\noffset_m = 3\nfrom_m = -8\nto_m = 8\npitch_m = 0.25\n'
+PLACES = ((0, 70), (20, 80), (-35, 90), (45, 60), (-10, 110), (60, 100))
+
+
+def run(*words):
+    return CliRunner().invoke(app, [str(w) for w in words])
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("detectors") / "plant"
+    folder.mkdir()
+    text = TEXT + ARRAY.format("above", "horizontal") + ARRAY.format("left", "vertical")
+    (folder / "plant.toml").write_text(text)
+    rows = [f"H{k},{e},{n},2.5" for k, (e, n) in enumerate(PLACES)]
+    (folder / "heliostats.csv").write_text("\n".join(["id,east_m,north_m,up_m", *rows]))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def planned(plant, tmp_path_factory):
+    """Written with `plan` left out."""
+    out = tmp_path_factory.mktemp("detectors") / "out"
+    done = run("detectors", plant, "--at", NOON, "--record", NOON, "--seed", 3, "-o", out)
+    assert done.exit_code == 0, done.output
+    return out, done.output
+
+
+def test_a_plan_says_who_is_seen_and_what_a_record_gives(planned):
+    out, said = planned
+    assert "none beat or share a harmonic" in said and "measured 6" in said and "next: benchsim detectors read" in said
+    plain = json.loads((out / "detectors.json").read_text())
+    assert plain["share_seen"] == 1 and plain["record"]["outcomes"] == {"measured": 6}
+    assert plain["record"]["largest_after_mrad"] < 0.1 < plain["record"]["largest_before_mrad"]
+    rows = list(csv.DictReader((out / "heliostats.csv").open()))
+    assert len(rows) == 6 and all(float(r["sigma_azimuth_mrad"]) < 0.1 for r in rows)
+    assert sum(a["along"] == "vertical" for a in plain["arrays"]) == 1 and (out / "plan.png").stat().st_size > 10_000
+
+
+def test_errors_are_as_large_as_their_sigma_says(planned):
+    """12 angles: the chance of an rms beyond these bounds is 1e-4, were they independent and normal."""
+    rows = json.loads((planned[0] / "detectors.json").read_text())["record"]["heliostats"]
+    kinds = ("elevation", "azimuth")
+    pulls = np.array([[(r[f"{k}_mrad"] - r[f"true_{k}_mrad"]) / r[f"sigma_{k}_mrad"] for k in kinds] for r in rows])
+    assert 0.35 < np.sqrt((pulls**2).mean()) < 2.0
+
+
+def test_a_record_is_read_back_by_the_command_alone(plant, planned, tmp_path):
+    out, _ = planned
+    done = run(
+        "detectors", "read", out / "record.wav", plant, "--at", NOON, "--labels", out / "heliostats.csv",
+        "-o", tmp_path / "r",
+    )  # fmt: skip
+    assert done.exit_code == 0 and "measured 6" in done.output, done.output
+    with (tmp_path / "r" / "measured.csv").open() as a, (out / "measured.csv").open() as b:
+        for read, simulated in zip(csv.DictReader(a), csv.DictReader(b), strict=True):
+            assert float(read["raise_mrad"]) == pytest.approx(float(simulated["raise_mrad"]), abs=2e-4)
+
+
+def test_a_table_of_some_detectors_is_read_too(plant, planned, tmp_path):
+    """Any unit, a detector that never changes, others that are missing; the other way round in time all is lost."""
+    rate, data = wavfile.read(planned[0] / "record.wav")
+    kept = [k for k in range(data.shape[1]) if k % 7]
+    table = np.column_stack([np.arange(len(data)) / rate, 1e3 * data[:, kept]])
+    table[:, 5] = 1.0
+    head = "time_s," + ",".join(f"detector_{k + 1}" for k in kept)
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", header=head, comments="", fmt="%.7g")
+    result = bs.detectors_read(tmp_path / "r.csv", plant, at=NOON)
+    assert {r["outcome"] for r in result.rows} == {"measured"}
+    assert "never change" in result.summary() and "are not in the record" in result.summary()
+    late = bs.detectors_read(tmp_path / "r.csv", plant, at="2026-03-21T14:30")
+    assert {r["outcome"] for r in late.rows} != {"measured"} and late.remarks
+    assert result._repr_html_().count("data:image/png;base64,") == 1
+
+
+@pytest.mark.parametrize(
+    ("head", "rows", "says"),
+    [
+        ("t,detector_1", 300, "names no columns time_s"),
+        ("time_s,detector_9999", 300, "is none of detector_1 to detector_"),
+        ("time_s,detector_1", 300, "fewer than 3 detectors of an array"),
+        ("time_s,detector_1", 20, "give 200 or more"),
+    ],
+)
+def test_a_record_that_cannot_be_used_is_told_in_a_sentence(plant, tmp_path, head, rows, says):
+    file = tmp_path / "r.csv"
+    lines = [f"{k / 500:.6f},{k % 7}" for k in range(rows)]
+    file.write_text("\n".join([head, *lines]))
+    done = run("detectors", "read", file, plant, "--at", NOON, "-o", tmp_path / "o")
+    assert done.exit_code == 1 and says in done.output and not (tmp_path / "o").exists()
+
+
+def test_what_cannot_be_planned_is_told_in_a_sentence(plant, tmp_path):
+    for words, says in (
+        (["--record", "2026-03-21T01:00"], "--record: the sun is below the horizon"),
+        (["--at", "2026-03-21T01:00"], "the sun stands"),
+        (["--record", "soon"], "--record: 'soon' is no time"),
+    ):
+        done = run("detectors", "plan", plant, "--day", "2026-03-21", *words, "-o", tmp_path / "o")
+        if "--at" in words:
+            done = run("detectors", "plan", plant, *words, "-o", tmp_path / "o")
+        assert done.exit_code == 1 and says in done.output

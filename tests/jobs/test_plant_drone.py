@@ -1,0 +1,197 @@
+"""``benchsim drone``: planned, flown virtually, and pictures with EXIF GPS read back by the command alone."""
+
+import csv
+import json
+import math
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+import benchsim as bs
+from benchsim.cli import app
+from benchsim.jobs.drone_cluster import ENU, clusters
+from benchsim.plant import files
+
+TEXT = """\
+format = "benchsim-plant/1"
+title = "Three"
+[site]
+latitude_deg = 37.0
+longitude_deg = -2.0
+elevation_m = 500.0
+[[receiver]]
+name = "receiver"
+centre_m = [0.0, 0.0, 40.0]
+width_m = 6.0
+height_m = 6.0
+[optics]
+slope_mrad = 0.7
+reflectance = 0.9
+[heliostats]
+width_m = 3.22
+height_m = 2.56
+facets = [2, 2]
+[errors]
+IA_sigma_mrad = 1.0
+IE_sigma_mrad = 1.0
+[drone]
+pitch_m = 0.7
+"""
+PLACES = ((-8, 150), (0, 155), (9, 150))
+
+
+def run(*words):
+    return CliRunner().invoke(app, [str(w) for w in words])
+
+
+@pytest.fixture
+def plant(tmp_path):
+    folder = tmp_path / "plant"
+    folder.mkdir()
+    (folder / "plant.toml").write_text(TEXT)
+    rows = [f"H{k},{e},{n},2" for k, (e, n) in enumerate(PLACES, 1)]
+    (folder / "heliostats.csv").write_text("\n".join(["id,east_m,north_m,up_m", *rows]))
+    return folder
+
+
+def rational(value, digits):
+    return (round(value * 10**digits), 10**digits)
+
+
+def tagged(latitude, longitude, height):
+    """EXIF with a place, as a drone with RTK writes it: to 1e-6 of an arc second, and to a millimetre."""
+    exif = Image.Exif()
+    place = exif.get_ifd(0x8825)
+    for tag, value, words in ((1, latitude, "NS"), (3, longitude, "EW")):
+        d, rest = divmod(abs(value), 1)
+        m, rest = divmod(60 * rest, 1)
+        place[tag] = words[int(value < 0)]
+        place[tag + 1] = (d, m, Fraction6(60 * rest))
+    place[5], place[6] = b"\0", Fraction6(height)
+    return exif
+
+
+def Fraction6(value):
+    from PIL.TiffImagePlugin import IFDRational
+
+    return IFDRational(*rational(value, 6))
+
+
+def camera_file(path, resolution, focal):
+    """As `benchsim calibrate` writes it."""
+    from benchsim.bench.model import Camera
+    from benchsim.calibration.record import write_camera
+
+    middle = tuple((n - 1) / 2 for n in resolution)
+    camera = Camera("A", resolution, focal, middle, bit_depth=8, gamma="srgb", saturation_level=255.0)
+    write_camera(path, camera, (1e-4, 0.1, 1e-3), 1e-4 * np.eye(8), photographs=12, marks=300, rms=0.05, board="m.csv")
+
+
+def test_a_flight_is_planned_and_flown(plant, tmp_path):
+    file = plant / "plant.toml"
+    file.write_text(file.read_text().replace("pitch_m = 0.7", "pitch_m = 0.35"))
+    done = run("drone", plant, "--fly", "--seed", 2, "-o", tmp_path / "o")
+    assert done.exit_code == 0 and "flown virtually, seed 2" in done.output, done.output
+    plain = json.loads((tmp_path / "o" / "drone.json").read_text())
+    rows = list(csv.DictReader((tmp_path / "o" / "heliostats.csv").open()))
+    assert plain["flown"]["estimated"] == len(rows) == 3
+    # Six angles: an rms beyond 2.2 of the stated sigma has a chance below 1e-4.
+    assert plain["flown"]["pulls_rms"] < 2.2
+    flown, expected = (sum(float(r[k]) for r in rows) for k in ("flown_glints", "glints"))
+    assert flown == pytest.approx(expected, rel=0.4)  # some 130 of them, in bunches
+    points = list(csv.DictReader((tmp_path / "o" / "waypoints.csv").open()))
+    assert len(points) == plain["pictures"]
+    line = ET.parse(tmp_path / "o" / "flight.kml").find(".//{*}coordinates").text.split()
+    assert len(line) == len(points) and line[0].startswith(points[0]["longitude_deg"].lstrip("'"))
+
+
+def test_waypoints_are_where_the_camera_point_is(plant):
+    c = clusters(files.read(plant))[0]
+    points = c.route[0][::7]
+    np.testing.assert_allclose(c.local(c.geographic(points)), points, atol=0.01)
+    toward = c.target @ ENU
+    assert np.linalg.norm(c.target) == pytest.approx(150e3) and toward[1] > 0
+
+
+def test_large_fields_are_cut_into_clusters(shipped_radial):
+    parts = clusters(files.read(shipped_radial))
+    assert sorted(np.concatenate([c.who for c in parts])) == list(range(100))
+    assert max(len(c.who) for c in parts) <= 12
+
+
+@pytest.fixture
+def shipped_radial():
+    from pathlib import Path
+
+    return Path(__file__).resolve().parents[2] / "scenes" / "plants" / "radial100"
+
+
+@pytest.mark.parametrize(
+    ("exif", "says"), [(False, "EXIF does not say where it was taken"), (True, "all taken at one place")]
+)
+def test_pictures_that_cannot_be_used_are_told_in_a_sentence(plant, tmp_path, exif, says):
+    camera_file(tmp_path / "camera.toml", (64, 48), 100.0)
+    (tmp_path / "photos").mkdir()
+    for k in range(3):
+        picture = Image.fromarray(np.full((48, 64), 90, np.uint8))
+        more = {"exif": tagged(37.001, -2.0, 590.0)} if exif else {}
+        picture.save(tmp_path / "photos" / f"{k}.jpg", **more)
+    done = run("drone", "read", tmp_path / "photos", plant, "--camera", tmp_path / "camera.toml", "-o", tmp_path / "o")
+    assert done.exit_code == 1 and says in done.output and not (tmp_path / "o").exists()
+
+
+def test_pictures_from_elsewhere_contradict_the_plan(plant, tmp_path):
+    """Grey pictures taken far from the planned point: nothing is found, and it is said why."""
+    camera_file(tmp_path / "camera.toml", (64, 48), 100.0)
+    (tmp_path / "photos").mkdir()
+    rows = ["name,east_m,north_m,up_m"]
+    for k in range(3):
+        Image.fromarray(np.full((48, 64), 90, np.uint8)).save(tmp_path / "photos" / f"{k}.jpg")
+        rows.append(f"{k}.jpg,{k},400,90")
+    (tmp_path / "p.csv").write_text("\n".join(rows))
+    result = bs.drone_read(tmp_path / "photos", plant, camera=tmp_path / "camera.toml", positions=tmp_path / "p.csv")
+    said = result.summary()
+    assert "beside the planned pattern" in said and "No heliostat shows" in said and "is not found in" in said
+
+
+@pytest.mark.slow
+def test_pictures_of_mitsuba_are_read_by_the_command_alone(plant, tmp_path):
+    """Rendered, written as JPEG with EXIF GPS, read back: axes within 4 of the stated sigma, as the truth has them."""
+    from benchsim.drones import picture
+    from benchsim.drones.flight import fly, stand
+    from benchsim.drones.heliostat import axes, mean_normal, measured_map
+
+    rng = np.random.default_rng(7)
+    camera = picture.Camera((2048, 1024), 7970.0)
+    camera_file(tmp_path / "camera.toml", camera.resolution, camera.focal)
+    c = clusters(files.read(plant))[0]
+    flight = fly(c.target, c.route, c.errors(), rng)
+    truth = [stand([c.place(k)], c.design(k), c.target, c.errors(), rng)[0] for k in range(3)]
+    (tmp_path / "photos").mkdir()
+    shapes = picture.mirrors(truth, np.zeros(3))
+    whole = np.concatenate([picture.outline(axes(h.mount), h.surface.design.outline) for h in truth])
+    for f, (eye, lamp) in enumerate(zip(flight.cameras, flight.lamps, strict=True)):
+        view = picture.looking(eye, np.zeros(3), picture.GIMBAL * rng.standard_normal(2))
+        rows, columns = picture.window_of(picture.project(camera, view, whole), 30)
+        light = np.full(camera.resolution[::-1], picture.GROUND)
+        light[rows, columns] = picture.radiance(shapes, np.zeros(3), camera, view, lamp, (rows, columns), 16, f)
+        x = picture.photograph(light, rng)
+        coded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+        said = c.geographic(flight.said_cameras[f][None])[0]
+        file = tmp_path / "photos" / f"{f:04d}.jpg"
+        Image.fromarray(np.round(255 * coded).astype(np.uint8)).save(file, quality=97, exif=tagged(*said))
+    done = run("drone", "read", tmp_path / "photos", plant, "--camera", tmp_path / "camera.toml", "-o", tmp_path / "o")
+    assert done.exit_code == 0, done.output
+    print(done.output)
+    table = {r["id"]: r for r in csv.DictReader((tmp_path / "o" / "axes.csv").open())}
+    for k, h in enumerate(truth):
+        r = table[f"H{k + 1}"]
+        assert not r["says"] and int(r["glints"]) >= 8
+        axis = ENU @ np.array([float(r[n]) for n in ("axis_east", "axis_north", "axis_up")])
+        real = axes(h.mount)[0] @ mean_normal(measured_map(h.surface))
+        off = 1e3 * math.acos(min(1.0, float(axis @ real)))
+        print(r["id"], off, r["sigma_mrad"], r["glints"], np.hypot(float(r["azimuth_off_mrad"]), 0))
+        assert off < 4 * float(r["sigma_mrad"])

@@ -1,0 +1,56 @@
+"""Arrays of detectors and prisms in a plant's file, and mirrors that stand before others."""
+
+import numpy as np
+import pytest
+
+from benchsim.bench.errors import BenchsimError
+from benchsim.plant import files
+from benchsim.plant.hiding import hidden
+
+ROW = '[[detector]]\nname = "{}"\nalong = "{}"\noffset_m = 3\nfrom_m = -4\nto_m = 4.05\npitch_m = 0.1\n'
+TWO = ROW.format("over", "horizontal") + ROW.format("beside", "vertical")
+
+
+def added(written, text):
+    folder = written()
+    with (folder / "plant.toml").open("a") as file:
+        file.write(text)
+    return folder
+
+
+def test_arrays_are_as_stated_or_as_suits_the_field(written):
+    plant = files.read(added(written, TWO))
+    over, beside = plant.station.arrays
+    assert (over.name, over.upright, over.offset, over.count) == ("over", False, 3000.0, 81)
+    assert beside.upright and plant.station.remarks == ()
+    suited = files.read(written()).station
+    assert len(suited.arrays) == 2 and "No [[detector]]" in suited.remarks[0]
+    assert np.allclose(suited.frame @ suited.frame.T, np.eye(3)) and np.linalg.det(suited.frame) > 0
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (ROW.format("a", "horizontal") * 2, "two have one name"),
+        (TWO + 'receiver = "elsewhere"\n', r"detector\[2\].receiver: 'elsewhere' is none of"),
+        (TWO + "azimuth_deg = 5\n", r"detector\[2\].azimuth_deg: all arrays stand on one plane"),
+        (TWO.replace("to_m = 4.05", "to_m = -4"), "is not beyond from_m"),
+        (TWO.replace("pitch_m = 0.1", "pitch_m = 0.005"), "detectors are more than"),
+        ("[prisms]\nrate_high_hz = 260\n", "within an octave"),
+        ("[prisms]\nsample_rate_hz = 400\n", "passes rates below 160 Hz"),
+        ("[prisms]\nlongest_s = 5\n", "is shorter than record_s"),
+    ],
+)
+def test_what_is_wrong_with_them_is_told_in_a_sentence(written, text, says):
+    with pytest.raises(BenchsimError, match=says):
+        files.read(added(written, text))
+
+
+def test_a_mirror_before_another_hides_it():
+    """Looking north: the second stands in the way of the first, the third beside it."""
+    position = np.array([[0.0, 0, 0], [0.5e3, 8e3, 0], [6e3, 8e3, 0]])
+    normals = np.tile([0.0, 1.0, 0.0], (3, 1))
+    size = np.full(3, 2e3)
+    assert hidden(position, normals, size, size, np.array([0.0, 1.0, 0.0])).tolist() == [True, False, False]
+    assert not hidden(position, normals, size, size, np.array([0.0, -1.0, 0.0]))[0]
+    assert not hidden(position, normals, size, size, np.array([0.0, 1.0, 1.0])).any()
