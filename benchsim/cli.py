@@ -113,7 +113,7 @@ def run(
     json: Json = False,
     variant: Variant = None,
 ) -> None:
-    """The main job: render (or take photographs), fit, validate, draw."""
+    """The main job: render or take photographs, fit, validate, draw."""
     from benchsim import jobs
 
     _do(jobs.run, json, file=file, output=output, variant=variant, allow_outside=allow_outside)
@@ -362,8 +362,7 @@ def _plan_or_read(what: str, name: str) -> typer.Typer:
 
 
 detectors_app = _plan_or_read(
-    "Arrays of detectors that watch a plant's heliostats: planned, or a record read; 'plan' may be left out",
-    "detectors",
+    "Detectors at a plant's receiver: planned, or a record read. 'plan' may be left out.", "detectors"
 )
 
 PlantArgument = Annotated[Path, typer.Argument(help="plant.toml, or the folder that holds it.")]
@@ -422,7 +421,7 @@ def detectors_read(
 
 
 drone_app = _plan_or_read(
-    "A drone that looks into a plant's mirrors: planned, or pictures read; 'plan' may be left out", "drone"
+    "A drone over a plant: its flight planned, or pictures read. 'plan' may be left out.", "drone"
 )
 
 
