@@ -169,8 +169,8 @@ class Parting:
         """For a person."""
         (p, c, s), (pp, cp, sp) = self.power, self.peak
         out = [
-            f"  {self.receiver}: product {p:.4g} kW, Monte Carlo {c:.4g} ± {s:.1g} ({100 * (p / c - 1):+.2f} %); at "
-            f"the peak {pp:.4g} and {cp:.4g} ± {sp:.1g} kW/m² ({100 * (pp / cp - 1):+.2f} %); centroids "
+            f"  {self.receiver}: product {p:.4g} kW, Monte Carlo {c:.4g} ± {s:.2g} ({100 * (p / c - 1):+.2f} %); at "
+            f"the peak {pp:.4g} and {cp:.4g} ± {sp:.2g} kW/m² ({100 * (pp / cp - 1):+.2f} %); centroids "
             f"{1e3 * float(np.hypot(*self.centroid)):.0f} mm apart"
         ]
         for words, power, peak in self.causes:

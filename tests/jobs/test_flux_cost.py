@@ -61,6 +61,7 @@ def test_light_on_anothers_spot_is_ranked_by_what_it_puts_above_the_limit():
     assert "above a limit" in result.summary() and "largest peak" in result.summary()
 
 
+@pytest.mark.slow
 def test_mended_to_within_their_sigmas_is_the_mean_of_many_such_plants():
     """Draws of what is left after a calibration, 24 of them: within four standard errors and a tenth."""
     p = five(errors={"IA": np.array([4e-3, -5e-3, 3e-3, 6e-3, -4e-3])})

@@ -49,7 +49,12 @@ def rays(p, sun=SUN, accuracy=0.05, grids=None, **more):
 
 
 @pytest.mark.parametrize(
-    "receiver", [PLANE, replace(PLANE, elevation=-0.3, azimuth=0.2), CYLINDER], ids=["plane", "tilted", "cylinder"]
+    "receiver",
+    [
+        pytest.param(PLANE, marks=pytest.mark.slow, id="plane"),
+        pytest.param(replace(PLANE, elevation=-0.3, azimuth=0.2), id="tilted"),
+        pytest.param(CYLINDER, id="cylinder"),
+    ],
 )
 def test_of_a_gaussian_sun_and_smooth_spheres_both_engines_make_one_map(receiver):
     """Cell by cell: chi² per cell of a map that spilled light cuts. What the product leaves out, mirrors' aberrations
@@ -69,6 +74,7 @@ def test_of_a_gaussian_sun_and_smooth_spheres_both_engines_make_one_map(receiver
     np.testing.assert_allclose(by_rays.caught, product.caught, atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_second_receiver_behind_catches_what_the_first_lets_pass():
     small = replace(PLANE, width=400.0, height=400.0)
     behind = Receiver("b", "plane", (0.0, -3e3, 30e3), 30e3, 30e3)
@@ -151,6 +157,7 @@ def test_other_seeds_scatter_as_the_stated_errors_say(monkeypatch):
     assert made[0].noise.rays < 2**14 and not np.array_equal(made[0].flux[0], made[1].flux[0])
 
 
+@pytest.mark.slow
 def test_rays_are_traced_until_they_are_as_sure_as_wanted():
     p = plant(PLANE)
     grids = (PLANE.mesh(1.0, 40, 40),)
