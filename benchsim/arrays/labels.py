@@ -54,9 +54,13 @@ class Lines:
 
 
 def uneven(lines: Lines, plant: Plant, heliostat: int, kind: int) -> Array:
-    """What the detectors' uneven responsivities add to the noise's density (m,) at a label [(W/m²)²/Hz]."""
+    """What the detectors' uneven responsivities add to the noise's density (m,) at a label [(W/m²)²/Hz].
+
+    They make a line larger or smaller, in phase with itself, which is how the trace's place shows; in quadrature they
+    do nothing, where this is too careful.
+    """
     amplitude = np.abs(lines.amplitude[heliostat, kind])
-    return np.asarray(0.5 * (plant.gain_spread * amplitude) ** 2 / lines.gain[heliostat, kind])
+    return np.asarray((plant.gain_spread * amplitude) ** 2 / lines.gain[heliostat, kind])
 
 
 def differencing(rates: Array, sample_rate: float) -> Array:

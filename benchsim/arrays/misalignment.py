@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtrc
 
 from benchsim.arrays.crossings import RANGE, THRESHOLD, Crossing, Family, crossings_of, family, zero
 from benchsim.arrays.fitting import fit, whitener
@@ -150,7 +150,7 @@ def _one(plant: Plant, lines: Lines, noise: Noise, k: int) -> tuple[Measurement,
         says = f"the {dark} prism {why}: the {KINDS[free[0]]} misalignment alone is known"
         if states[lit[0]] == "rim":
             says += ", and that from the rim of its light"
-    elif result.dof and stats.chi2.sf(result.chi2, result.dof) < ALARM:
+    elif result.dof and chdtrc(result.dof, result.chi2) < ALARM:
         outcome = "contradictory"
         says = OUTCOMES[outcome]
     else:

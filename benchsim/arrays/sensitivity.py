@@ -168,7 +168,7 @@ def sums(
     # Mean of 1/B² over detectors whose steady light B is spread evenly.
     steady = a.background * np.sqrt(1 - a.background_spread**2)
     own = white_level(a, steady) + steady**2 * flicker_density(a, a.flicker_local, rates[prism])
-    own = own + 0.5 * (a.gain_spread * np.abs(h)) ** 2 * plant.duration
+    own = own + (a.gain_spread * np.abs(h)) ** 2 * plant.duration
     count = len(plant.arrays)
     into = prism * count + plant.member[at]
 

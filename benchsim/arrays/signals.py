@@ -20,7 +20,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike, NDArray
-from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from benchsim.arrays.plant import Assumptions, Plant
@@ -177,6 +176,8 @@ def clean(plant: Plant, assumptions: Assumptions, truth: Truth, heliostats: list
     heliostats : list of int, optional
         Those that shine; default all.
     """
+    from scipy import signal  # half a second, which planning does without
+
     dt = 1 / (plant.sample_rate * OVERSAMPLE)
     lead = _TAPS // 2
     count = plant.samples * OVERSAMPLE
@@ -196,6 +197,8 @@ def clean(plant: Plant, assumptions: Assumptions, truth: Truth, heliostats: list
 
 def _lay(current: Array, plant: Plant, truth: Truth, k: int, kind: int, dt: float, lead: int) -> None:
     """Lay all passages of a prism into the currents."""
+    from scipy import signal  # half a second, which planning does without
+
     one = passage(plant, k, kind, truth.misalignment[k])
     if not len(one.detectors):
         return
@@ -271,6 +274,8 @@ def flicker_density(assumptions: Assumptions, rms: float, rate: ArrayLike) -> Ar
 
 def _flicker(rms: float, assumptions: Assumptions, shape: tuple[int, int], rng: np.random.Generator) -> Array:
     """First-order process, stationary, along the last axis, as the converter's filter passes it."""
+    from scipy import signal  # half a second, which planning does without
+
     finer = 4
     rate = assumptions.sample_rate * finer
     taps = signal.firwin(_TAPS // 4 + 1, 0.45 * assumptions.sample_rate, window=("kaiser", 8.0), fs=rate)
