@@ -335,7 +335,7 @@ def _plan_or_read(what: str, name: str) -> typer.Typer:
 
 
 detectors_app = _plan_or_read(
-    "Arrays of detectors that watch a plant's heliostats: planned, or a record read; 'plan' may be left out",
+    "Detectors that watch a plant's heliostats. Planned, or a record read; 'plan' may be left out.",
     "detectors",
 )
 
@@ -361,7 +361,7 @@ def detectors_plan(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Which heliostats the arrays see, when, and how well; labels, and the length of a record."""
+    """Which heliostats the arrays see, and when. How well; labels, and the length of a record."""
     from benchsim import jobs
 
     if [at, day, year].count(None) < 2:
@@ -385,7 +385,7 @@ def detectors_read(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Misalignments from a record of your own, and how to turn each heliostat."""
+    """Misalignments from a record of your own. And how to turn each heliostat."""
     from benchsim import jobs
 
     _do(
@@ -395,7 +395,7 @@ def detectors_read(
 
 
 drone_app = _plan_or_read(
-    "A drone that looks into a plant's mirrors: planned, or pictures read; 'plan' may be left out", "drone"
+    "A drone that looks into a plant's mirrors. Planned, or pictures read; 'plan' may be left out.", "drone"
 )
 
 
@@ -408,7 +408,7 @@ def drone_plan(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Where a drone has to fly, which heliostats it sees from there, and how well that tells their axes."""
+    """Where a drone has to fly. Which heliostats it sees from there, and how well that tells their axes."""
     from benchsim import jobs
 
     _do(
@@ -432,7 +432,7 @@ def drone_read(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """From pictures of your own to the heliostats' axes, with their uncertainty."""
+    """From pictures of your own to heliostats' axes. With their uncertainty."""
     from benchsim import jobs
 
     _do(
