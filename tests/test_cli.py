@@ -43,7 +43,7 @@ def test_every_word_of_a_help_text_survives(path):
         assert all(o in shown for o in parameter.opts if o.startswith("-"))
 
 
-@pytest.mark.parametrize("path", [(), ("trial",)], ids=["benchsim", "trial"])
+@pytest.mark.parametrize("path", [(), ("trial",), ("detectors",), ("drone",)], ids=lambda p: p[0] if p else "benchsim")
 def test_the_list_of_commands_says_each_in_a_sentence(path):
     assert "..." not in help_of(path).partition("Commands:")[2]
 

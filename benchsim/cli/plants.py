@@ -121,7 +121,7 @@ def _plan_or_read(what: str, name: str) -> typer.Typer:
 
 
 detectors_app = _plan_or_read(
-    "Detectors at a plant's receiver: planned, or a record read. 'plan' may be left out.", "detectors"
+    "Detectors that watch a plant's heliostats. Planned, or a record read; 'plan' may be left out.", "detectors"
 )
 PlantArgument = Annotated[Path, typer.Argument(help="plant.toml, or the folder that holds it.")]
 
@@ -145,7 +145,7 @@ def detectors_plan(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Which heliostats the arrays see, when, and how well; labels, and the length of a record."""
+    """Which heliostats the arrays see, and when. How well; labels, and the length of a record."""
     from benchsim import jobs
 
     if [at, day, year].count(None) < 2:
@@ -169,7 +169,7 @@ def detectors_read(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Misalignments from a record of your own, and how to turn each heliostat."""
+    """Misalignments from a record of your own. And how to turn each heliostat."""
     from benchsim import jobs
 
     do(
@@ -179,7 +179,7 @@ def detectors_read(
 
 
 drone_app = _plan_or_read(
-    "A drone over a plant: its flight planned, or pictures read. 'plan' may be left out.", "drone"
+    "A drone that looks into a plant's mirrors. Planned, or pictures read; 'plan' may be left out.", "drone"
 )
 
 
@@ -192,7 +192,7 @@ def drone_plan(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """Where a drone has to fly, which heliostats it sees from there, and how well that tells their axes."""
+    """Where a drone has to fly. Which heliostats it sees from there, and how well that tells their axes."""
     from benchsim import jobs
 
     do(
@@ -216,7 +216,7 @@ def drone_read(
     allow_outside: Outside = False,
     json: Json = False,
 ) -> None:
-    """From pictures of your own to the heliostats' axes, with their uncertainty."""
+    """From pictures of your own to the heliostats' axes. With their uncertainty."""
     from benchsim import jobs
 
     do(

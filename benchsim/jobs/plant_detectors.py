@@ -27,6 +27,7 @@ from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.plant import days, files
 from benchsim.plant.model import Plant
+from benchsim.plant.sensors import CLEAR
 from benchsim.plant.station import DetectorArray, Station
 from benchsim.reports import detector_pictures
 from benchsim.reports.pictures import save
@@ -358,10 +359,7 @@ def _placed(plant: Plant, w: Watch, times: Sequence[datetime], told: Any) -> Sta
     if len(s.arrays) != 2:
         raise BenchsimError(f"{plant.path.name}: detector: two arrays are placed, not {len(s.arrays)}; state two")
     halves = [(receiver.height if not a.upright else receiver.width) / 2 for a in s.arrays]
-    found = [
-        placing.places(line, max(abs(line.offset), half), -w.origin[2])
-        for line, half in zip(w.lines, halves, strict=True)
-    ]
+    found = [placing.places(line, half + CLEAR, -w.origin[2]) for line, half in zip(w.lines, halves, strict=True)]
     if not all(len(p.lines) for p, _ in found):
         raise BenchsimError(f"{plant.path.name}: detector: an array reaches into the ground; make it shorter")
     some = np.unique(np.linspace(0, len(w.who) - 1, SEARCHED).round().astype(int))

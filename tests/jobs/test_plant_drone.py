@@ -164,12 +164,16 @@ def test_pictures_of_mitsuba_are_read_by_the_command_alone(plant, tmp_path):
     from benchsim.drones.flight import fly, stand
     from benchsim.drones.heliostat import axes, mean_normal, measured_map
 
+    file = plant / "plant.toml"
+    file.write_text(file.read_text().replace("pitch_m = 0.7", "pitch_m = 0.4"))
+    table = plant / "heliostats.csv"
+    table.write_text("\n".join(table.read_text().splitlines()[:3]))
     rng = np.random.default_rng(7)
     camera = picture.Camera((2048, 1024), 7970.0)
     camera_file(tmp_path / "camera.toml", camera.resolution, camera.focal)
     c = clusters(files.read(plant))[0]
     flight = fly(c.target, c.route, c.errors(), rng)
-    truth = [stand([c.place(k)], c.design(k), c.target, c.errors(), rng)[0] for k in range(3)]
+    truth = [stand([c.place(k)], c.design(k), c.target, c.errors(), rng)[0] for k in range(2)]
     (tmp_path / "photos").mkdir()
     shapes = picture.mirrors(truth, np.zeros(3))
     whole = np.concatenate([picture.outline(axes(h.mount), h.surface.design.outline) for h in truth])
@@ -181,8 +185,8 @@ def test_pictures_of_mitsuba_are_read_by_the_command_alone(plant, tmp_path):
         x = picture.photograph(light, rng)
         coded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
         said = c.geographic(flight.said_cameras[f][None])[0]
-        file = tmp_path / "photos" / f"{f:04d}.jpg"
-        Image.fromarray(np.round(255 * coded).astype(np.uint8)).save(file, quality=97, exif=tagged(*said))
+        photo = tmp_path / "photos" / f"{f:04d}.jpg"
+        Image.fromarray(np.round(255 * coded).astype(np.uint8)).save(photo, quality=97, exif=tagged(*said))
     done = run("drone", "read", tmp_path / "photos", plant, "--camera", tmp_path / "camera.toml", "-o", tmp_path / "o")
     assert done.exit_code == 0, done.output
     print(done.output)
@@ -193,5 +197,5 @@ def test_pictures_of_mitsuba_are_read_by_the_command_alone(plant, tmp_path):
         axis = ENU @ np.array([float(r[n]) for n in ("axis_east", "axis_north", "axis_up")])
         real = axes(h.mount)[0] @ mean_normal(measured_map(h.surface))
         off = 1e3 * math.acos(min(1.0, float(axis @ real)))
-        print(r["id"], off, r["sigma_mrad"], r["glints"], np.hypot(float(r["azimuth_off_mrad"]), 0))
+        print(r["id"], off, r["sigma_mrad"], r["glints"])
         assert off < 4 * float(r["sigma_mrad"])
