@@ -34,10 +34,10 @@ height_m = 3.0
 IA_sigma_mrad = 1.0
 IE_sigma_mrad = 1.0
 [prisms]
-record_s = 4
+record_s = 2.5
 longest_s = 8
 """
-ARRAY = '[[detector]]\nname = "{}"\nalong = "{}"\noffset_m = 3\nfrom_m = -8\nto_m = 8\npitch_m = 0.25\n'
+ARRAY = '[[detector]]\nname = "{}"\nalong = "{}"\noffset_m = 3\nfrom_m = -8\nto_m = 8\npitch_m = 0.35\n'
 PLACES = ((0, 70), (20, 80), (-35, 90), (45, 60), (-10, 110), (60, 100))
 
 
