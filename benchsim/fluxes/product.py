@@ -23,7 +23,7 @@ plane along its central ray like those of a plane, and each point has its own ob
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,8 @@ class Beams:
     width, height : (n,) mm
     spread : (n,)
         Standard deviation of the light in one direction [rad].
+    share, parts : (m,), (m, n)
+        Weights and standard deviations [rad] of the circular Gaussians whose sum the light is; default that one alone.
     distance : (n,)
         To the image plane, at which the mirrors are focused [mm].
     sun : (3,)
@@ -64,6 +66,8 @@ class Beams:
     spread: Array
     distance: Array
     sun: Array
+    share: Array = field(default_factory=lambda: np.ones(1))
+    parts: Array | None = None
 
     @property
     def cosine(self) -> Array:
@@ -87,7 +91,7 @@ class Beams:
         """Some of the heliostats."""
         return Beams(
             self.position[index], self.normal[index], self.width[index], self.height[index], self.spread[index],
-            self.distance[index], self.sun,
+            self.distance[index], self.sun, self.share, None if self.parts is None else self.parts[:, index],
         )  # fmt: skip
 
 
@@ -103,21 +107,26 @@ def flux(beams: Beams, points: Array, normals: Array) -> Array:
     """
     s, n, r, cosine = beams.sun, beams.normal, beams.ray, beams.cosine
     shrink = np.maximum(1 - cosine, LEAST)
-    width = np.sqrt(2) * beams.spread * beams.distance
+    parts = beams.spread[None] if beams.parts is None else beams.parts
     density = np.maximum(cosine, 0) / shrink**2
     oblique = np.maximum(-(r @ normals.T), 0)
     out = density[:, None] * oblique * 0.25
     if out.shape[1] != len(points):
         out = np.repeat(out, len(points), axis=1)
+    edges = []
     for edge, length in zip(mirror_axes(n), (beams.width, beams.height), strict=True):
         on_image = edge - (edge * r).sum(axis=1, keepdims=True) * r
         turned = on_image - (edge @ s)[:, None] * (n - cosine[:, None] * r) - cosine[:, None] * on_image
         turned /= shrink[:, None]
-        on_image = np.where((1 - cosine > LEAST)[:, None], turned, on_image) / width[:, None]
+        on_image = np.where((1 - cosine > LEAST)[:, None], turned, on_image)
         along = on_image @ points.T - (on_image * beams.position).sum(axis=1, keepdims=True)
-        half = (length * shrink / 2 / width)[:, None]
-        out *= erf(along + half) - erf(along - half)
-    return out
+        edges.append((along, (length * shrink / 2)[:, None]))
+    total = np.zeros_like(out)
+    for share, spread in zip(beams.share, parts, strict=True):
+        scale = 1 / (np.sqrt(2) * spread * beams.distance)[:, None]
+        one, other = (erf((along + half) * scale) - erf((along - half) * scale) for along, half in edges)
+        total += share * one * other
+    return np.asarray(out * total)
 
 
 def batches(beams: Beams, points: Array, normals: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Array]]:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.jobs.cluster import Each, Scheduler, cluster, here
-from benchsim.plant import sunshape
 from benchsim.plant.model import Mesh, Plant
 from benchsim.plant.moment import Moment, meshes, moment
 
@@ -187,11 +186,10 @@ def over_cells(values: Array, around: bool) -> Array:
     return values + bend / 24
 
 
-SUN, SLOPES, FACETS, REST = (
-    "the sun's shape taken for a Gaussian of its variance",
+SLOPES, FACETS, REST = (
     "slopes taken to spread alike in and across the plane of incidence",
     "facets' images and their canting taken for a Gaussian",
-    "the rest (a mirror's own aberrations and the receiver's depth, edges of shadows, light on other receivers)",
+    "the rest (the sun as a sum of Gaussians, a mirror's own aberrations, the receiver's depth, edges of shadows)",
 )
 
 
@@ -215,9 +213,6 @@ def parted(plant: Plant, sun: Array, sky: float, errors: Errors, product: Moment
     o, f = plant.optics, plant.field
     chain: list[tuple[str, Moment]] = []
     like, more = plant, np.full(len(f), o.specularity)
-    if plant.sun.name != "gaussian":
-        like = replace(like, sun=sunshape.gaussian(plant.sun.sigma))
-        chain.append((SUN, engine.moment(like, sun, sky, errors, product.meshes)))
     if o.slope:
         like = replace(like, optics=replace(o, slope=0.0))
         more = np.hypot(more, 2 * o.slope)
@@ -226,7 +221,7 @@ def parted(plant: Plant, sun: Array, sky: float, errors: Errors, product: Moment
         none = np.full(len(f), np.nan)
         sphere = replace(f, focal=none, canting=none, facets=np.ones_like(f.facets))
         like = replace(like, field=sphere)
-        more = np.sqrt(plant.spread**2 - plant.sun.sigma**2)
+        more = plant.blur
         chain.append((FACETS, engine.moment(like, sun, sky, errors, product.meshes, specularity=more)))
     out = []
     for k, receiver in enumerate(plant.receivers):

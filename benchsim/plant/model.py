@@ -308,16 +308,21 @@ class Plant:
 
     @property
     def spread(self) -> Array:
-        """Standard deviation in one direction of the light that a heliostat reflects, (n,) rad.
+        """Standard deviation in one direction of the light that a heliostat reflects, (n,) rad: sun and `blur`."""
+        return np.hypot(self.sun.sigma, self.blur)
 
-        Collado's circular Gaussian by its variance: of the sun's shape, twice the slopes, of the specularity, and of
-        facets that are not focused, or not canted, at the distance to their aim point d: a facet's image is |1 − d/f|
-        of the facet, the facets' images lie |1 − d/c| of the facets' centres apart; a strip of length l has l²/12, and
-        both directions are averaged.
+    @property
+    def blur(self) -> Array:
+        """The same of what is not the sun's, (n,) rad.
+
+        A circular Gaussian by its variance: of twice the slopes, of the specularity, and of facets that are not
+        focused, or not canted, at the distance to their aim point d: a facet's image is |1 − d/f| of the facet, the
+        facets' images lie |1 − d/c| of the facets' centres apart; a strip of length l has l²/12, and both directions
+        are averaged.
         """
         f, o = self.field, self.optics
         d = f.distance
-        variance = np.full(len(f), self.sun.sigma**2 + (2 * o.slope) ** 2 + o.specularity**2)
+        variance = np.full(len(f), (2 * o.slope) ** 2 + o.specularity**2)
         for edge, count in ((f.width, f.facets[:, 0]), (f.height, f.facets[:, 1])):
             facet, frame = (
                 np.where(np.isnan(x), 0.0, 1 - d / np.where(np.isnan(x), 1.0, x)) for x in (f.focal, f.canting)

@@ -120,8 +120,10 @@ def transmitted(distance: Array, kind: str) -> Array:
 
 
 def meshes(plant: Plant, cells: int | None = None) -> tuple[Mesh, ...]:
-    """Grids of the receivers whose cells are half as wide as the narrowest spot's sigma, or ``cells`` along and up."""
-    narrow = float((plant.spread * plant.field.distance).min())
+    """Grids of the receivers whose cells are half as wide as the narrowest core's sigma, or ``cells`` along and up."""
+    # An even disc has half of its half angle for sigma; an aureole makes the whole wider, but the spot no smoother.
+    core = np.hypot(plant.blur, min(plant.sun.sigma, plant.sun.half / 2))
+    narrow = float((core * plant.field.distance).min())
     if cells is not None:
         return tuple(r.mesh(1.0, cells, cells) for r in plant.receivers)
     return tuple(r.mesh(narrow / 2) for r in plant.receivers)
@@ -182,7 +184,11 @@ def moment(
 
 def _beams(plant: Plant, sun: Array, errors: Mapping[str, Array]) -> Beams:
     f = plant.field
-    return Beams(f.position, normals(f, sun, errors), f.width, f.height, plant.spread, f.distance, sun)
+    share, sun_parts = plant.sun.gaussians
+    parts = np.sqrt(sun_parts[:, None] ** 2 + plant.blur**2)
+    return Beams(
+        f.position, normals(f, sun, errors), f.width, f.height, plant.spread, f.distance, sun, share, parts
+    )  # fmt: skip
 
 
 def shifted(plant: Plant, shift: Array) -> Plant:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import j0
 
 Array = NDArray[np.float64]
 
@@ -14,6 +16,14 @@ DISC = 4.65e-3
 """Half angle of the disc [rad]."""
 AUREOLE = 43.6e-3
 """To where Buie's circumsolar light reaches [rad]."""
+
+LADDER = (0.2, 0.28, 0.38, 1.4, 4.2)
+"""Sigmas of the circular Gaussians whose sum stands for a shape, over the angle at which its radiance is half of the
+centre's. Three narrow ones make a disc, by weights of either sign, two an aureole. One alone is 20 to 60 % off at the
+centre of pillbox and Buie's shapes, four lose 2 to 4 % of the light to the aureole or keep it; each takes time."""
+
+BLUR = 1.5e-3
+"""What mirrors blur the shape by at least [rad]: finer detail of it is not asked for."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,33 @@ class SunShape:
             return float(np.sum(start * (b**one - a**one) / one + slope * (b**two - a**two) / two))
 
         return float(np.sqrt(moment(3) / moment(1) / 2))
+
+    @property
+    def half(self) -> float:
+        """Largest angle at which the radiance is above half of its largest [rad]; a Gaussian's sigma."""
+        fine = np.unique(np.r_[self.angle, np.linspace(self.angle[0], self.angle[-1], 10001)])
+        radiance = np.interp(fine, self.angle, self.radiance)
+        return float(fine[radiance > 0.5 * radiance.max()].max())
+
+    @cached_property
+    def gaussians(self) -> tuple[Array, Array]:
+        """Weights, whose sum is 1, and sigmas [rad] of circular Gaussians whose sum stands for the shape, (m,) each.
+
+        Least squares of the transform, as far as `BLUR` lets it be seen. Blurred by 1.5 mrad (1 sigma in one direction)
+        pillbox and Buie's shapes are met to 0.7 % of their centre, by 2 mrad and more to 0.3 %; what lies within any
+        angle to 0.9 % of the light. A Gaussian is itself.
+        """
+        if len(self.angle) == 1:
+            return np.ones(1), self.angle
+        fine = np.unique(np.r_[self.angle, np.linspace(self.angle[0], self.angle[-1], 1001)])
+        ring = np.gradient(fine) * np.interp(fine, self.angle, self.radiance) * fine
+        sigma = np.array(LADDER) * self.half
+        frequency = np.linspace(0, 1.2 / BLUR, 801)[1:]
+        seen = j0(2 * np.pi * frequency[:, None] * fine) @ (ring / ring.sum())
+        each = np.exp(-2 * (np.pi * frequency[:, None] * sigma) ** 2)
+        weight = (np.sqrt(frequency) * np.exp(-2 * (np.pi * frequency * BLUR) ** 2))[:, None]
+        rest = np.linalg.lstsq(weight * (each[:, 1:] - each[:, :1]), weight[:, 0] * (seen - each[:, 0]), rcond=None)[0]
+        return np.r_[1 - rest.sum(), rest], sigma
 
     def quantiles(self, count: int = 4096) -> Array:
         """Angles within which ``count`` even steps of the part of the light, 0 to 1, are reached [rad].
