@@ -17,6 +17,7 @@ from benchsim.jobs.shown import Shown
 from benchsim.plant.model import Plant
 from benchsim.plant.moment import Moment, over_limit
 from benchsim.reports import flux_pictures
+from benchsim.reports.quantities import said, short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,6 +69,8 @@ class FluxResult(Shown):
         Where both part, at the time of the most power.
     rank : Cost or None
     folder : Path or None
+    clear : bool
+        Whether the sky is a clear one, and not of a stated irradiance.
     """
 
     plant: Plant
@@ -83,6 +86,7 @@ class FluxResult(Shown):
     partings: tuple[Parting, ...] = ()
     rank: Cost | None = None
     folder: Path | None = None
+    clear: bool = True
 
     def total(self, name: str) -> Array:
         """Of every heliostat: the sum of ``power`` or ``reflected`` through day or year [kWh], or its value [kW]."""
@@ -109,13 +113,17 @@ class FluxResult(Shown):
         return np.asarray(sum(m.received for m in self.moments)) * self.stands / 1e3
 
     def limits(self) -> list[dict[str, Any]]:
-        """Of every receiver with a limit: its name, the largest peak, when that is, and what is above the limit."""
-        over = np.array([over_limit(self.plant, m) for m in self.moments])
+        """Of every receiver with a limit: its name, the largest peak, when that is, and what is above the limit.
+
+        By Monte Carlo where that was asked for: its noise reads peaks high, the product's simplifications low.
+        """
+        best = self.carlo or self.moments
+        over = np.array([over_limit(self.plant, m) for m in best])
         out = []
         for k, r in enumerate(self.plant.receivers):
             if r.peak_limit is None:
                 continue
-            peaks = [float(m.flux[k].max()) for m in self.moments]
+            peaks = [float(m.flux[k].max()) for m in best]
             at = int(np.argmax(peaks))
             out.append(
                 {
@@ -241,13 +249,13 @@ class FluxResult(Shown):
         else:
             days = list(dict.fromkeys(f"{t:%Y-%m-%d}" for t in self.times))
             what = "the year by " if len(days) > 1 else ""
-            when = f"{what}{', '.join(days)}, {len(self.times)} times {self.step:g} h apart"
+            sky = " under a clear sky" if self.clear else ""
+            when = f"{what}{', '.join(days)}, {len(self.times)} times {self.step:g} h apart{sky}"
         unit = self.unit
         lines = [f"{name}: {n} heliostat{'s' if n != 1 else ''}, {when}; {of}"]
-        lines += [
-            f"  {r['name']}: {r[f'on_it_{unit.lower()}']:.4g} {unit}, peak {r[f'peak_{unit.lower()}_m2']:.4g} {unit}/m²"
-            for r in plain["receivers"]
-        ]
+        for r in plain["receivers"]:
+            on, peak = r[f"on_it_{unit.lower()}"], r[f"peak_{unit.lower()}_m2"]
+            lines.append(f"  {r['name']}: {said(on, unit)}, peak {said(peak, unit)}/m²")
         parts = ", ".join(f"{k.replace('_', ' ')} {100 * v:.2f} %" for k, v in plain["losses"].items())
         lines.append(f"  of the light that the mirrors would reflect were each alone: {parts}")
         lines += self._more(plain)
@@ -267,32 +275,39 @@ class FluxResult(Shown):
             when = f"{self.times[self.brightest]:%Y-%m-%d %H:%M}, " if self.step is not None else ""
             lines.append(f"  where the engines part, {when}and by what of the product's:")
             lines += [s for p in self.partings for s in p.sentences()]
+        by = " by Monte Carlo" if self.carlo else ""
         for x in plain.get("limits", []):
             over = x[f"over_limit_{self.unit.lower()}"]
-            what = f"{over:.3g} {self.unit} are above it" if x["times_over"] else "it is kept"
+            what = f"{said(over, self.unit, 3)} are above it" if x["times_over"] else "it is kept"
             many = f" at {x['times_over']} of {len(self.times)} times" if self.step is not None and over else ""
             lines.append(
-                f"  {x['receiver']}: limit {x['peak_limit_kw_m2']:.4g} kW/m², largest peak {x['peak_kw_m2']:.4g}; "
+                f"  {x['receiver']}: limit {x['peak_limit_kw_m2']:.4g} kW/m², largest peak {x['peak_kw_m2']:.4g}{by}; "
                 f"{what}{many}"
             )
-        if self.rank is not None:
+        if self.rank is not None and not (self.rank.lost.any() or self.rank.over.any()):
+            only = "only their sigma is stated" if self.rank.sigma.any() else "none are stated"
+            lines.append(f"  errors of the mounts cost nothing: {only}; --errors drawn shows what such errors would")
+        elif self.rank is not None:
             r = self.rank
+            worth = r.recalibrated > 0
             put = (
-                f" and put {r.over.sum():.3g} kWh above a limit"
+                f" and put {said(r.over.sum(), 'kWh', 3)} above a limit"
                 if any(x.peak_limit for x in self.plant.receivers)
                 else ""
             )
+            back = said(r.recalibrated[worth].sum(), "kWh")
             lines.append(
-                f"  errors of the mounts cost {r.lost.sum():.4g} kWh in that time{put}; to calibrate all again brings "
-                f"back {r.recalibrated.sum():.4g} kWh, to shift their aims by a constant {r.reaimed.sum():.4g}"
+                f"  errors of the mounts cost {said(r.lost.sum(), 'kWh')} in that time{put}; to calibrate the "
+                f"{worth.sum()} of {len(worth)} that gain by it brings back {back}, to shift all aims by constants "
+                f"{said(r.reaimed.sum(), 'kWh')}"
             )
             lines.append("  first to be calibrated: cost, brought back by that, and by a shift (along, up):")
-            lines += [
-                f"    {x['id']:<12} {x['lost_kwh'] + x['over_limit_kwh']:9.3g} ± {x['sigma_kwh']:.2g} kWh, "
-                f"{x['recalibrated_kwh']:.3g}, {x['reaimed_kwh']:.3g} ({a:+.2f} m, {b:+.2f} m)"
-                for x in plain["rank"][:TOLD]
-                for a, b in [x["shift_m"]]
-            ]
+            for x in plain["rank"][:TOLD]:
+                cost, (a, b) = short(x["lost_kwh"] + x["over_limit_kwh"], 3), x["shift_m"]
+                lines.append(
+                    f"    {x['id']:<12} {cost:>9} ± {short(x['sigma_kwh'], 2)} kWh, {short(x['recalibrated_kwh'], 3)}, "
+                    f"{short(x['reaimed_kwh'], 3)} ({a:+.2f} m, {b:+.2f} m)"
+                )
         return lines
 
     @property
@@ -302,7 +317,8 @@ class FluxResult(Shown):
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        return self.text() + written(self.folder, page=True)
+        next_step = "\nnext: --engine both says by how much the product's simplifications move power and peak"
+        return self.text() + written(self.folder, page=True) + (next_step if self.engine == "product" else "")
 
     def figures(self) -> list[Figure]:
         """The flux on each receiver, where engines part on it, and the field."""

@@ -112,6 +112,10 @@ def flux(
     for option, value, known in (("errors", kind, KINDS), ("engine", engine, ENGINES)):
         if value not in known:
             raise BenchsimError(f"--{option}: {value!r} is none of {', '.join(known)}")
+    if irradiance is not None and not 1 <= irradiance <= 1400:
+        raise BenchsimError(f"--irradiance: {irradiance:g} W/m² is out of range; it must be 1 to 1400")
+    if any(not level > 0 for level in levels):
+        raise BenchsimError(f"--level: {min(levels):g} is out of range; a contour's flux must be above 0")
     if not 0.1 <= accuracy <= 20:
         raise BenchsimError(f"--accuracy: {accuracy:g} % is out of range; it must be 0.1 to 20")
     stated, sigmas = mount_errors(p, kind, seed)
@@ -148,7 +152,7 @@ def flux(
             )
         result = FluxResult(
             p, times.times, found or traced, None if at is not None else step, times.stands, kind, seed, tuple(levels),
-            engine, traced if found else (), (), cost, None if output is None else Path(output),
+            engine, traced if found else (), (), cost, None if output is None else Path(output), irradiance is None,
         )  # fmt: skip
         if engine == "both":
             k = result.brightest

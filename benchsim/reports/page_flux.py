@@ -8,6 +8,8 @@ from typing import Any
 
 from markupsafe import Markup
 
+from benchsim.reports.quantities import said
+
 MOST_ROWS = 500
 """Heliostats of the table: more would make the page slow to sort on a phone; the CSV file has all."""
 
@@ -65,8 +67,7 @@ def shown(
         "first": first,
         # What is indented twice, and what leads to it, has a table of its own.
         "rest": [line for line in rest if not line.startswith("    ") and not line.endswith(":")],
-        "total": sum(r[f"on_it_{unit}"] for r in flux["receivers"]),
-        "unit": {"kw": "kW", "kwh": "kWh"}[unit],
+        "total": said(sum(r[f"on_it_{unit}"] for r in flux["receivers"]), {"kw": "kW", "kwh": "kWh"}[unit]),
         "losses": [(k.replace("_", " "), 100 * v) for k, v in flux["losses"].items()],
         "heads": [(words, decimals is not None) for words, decimals in heads],
         "rows": [

@@ -124,3 +124,15 @@ def rounded(size: Size) -> str:
         return f"{value:.3g} {unit}".rstrip()
     digits = max(0, 1 - floor(log10(sigma)))
     return f"{value:.{digits}f} ± {sigma:.{digits}f} {unit}".rstrip()
+
+
+def short(value: float, digits: int) -> str:
+    """A number of so many digits, without an exponent."""
+    return f"{float(f'{value:.{digits}g}'):.10g}"
+
+
+def said(value: float, unit: str, digits: int = 4) -> str:
+    """Power or energy for a person, of kWh beyond ten thousand in MWh."""
+    if unit == "kWh" and abs(value) >= 1e4:
+        return f"{short(value / 1e3, digits)} MWh"
+    return f"{short(value, digits)} {unit}"
