@@ -89,7 +89,8 @@ class Target:
 def unit(v: ArrayLike) -> Array:
     """(..., 3) to length 1."""
     v = np.asarray(v, float)
-    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
 
 
 def ideal_normal(position: ArrayLike, aim: ArrayLike, sun: ArrayLike) -> Array:

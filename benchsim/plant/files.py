@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -24,6 +25,12 @@ from benchsim.plant.tables import AIM, Rows
 Array = NDArray[np.float64]
 
 NAME = "plant.toml"
+
+FAR = 20.0
+"""Times as far as the median heliostat, from which on a place is doubted: no field of one tower is so deep."""
+
+SMOOTH = 0.05e-3
+"""Slope error [rad] below which it is doubted: the best facets have about 0.5 mrad."""
 
 NEAREST = 0.5
 """Mirrors whose centres are nearer than this part of an edge stand within one another."""
@@ -113,7 +120,7 @@ def read(path: Path | str, *, allow_outside: bool = False) -> Plant:
         sensors.drone(f.drone),
     )  # fmt: skip
     _check(plant, rows.files[0])
-    return plant
+    return replace(plant, remarks=(*plant.remarks, *_doubts(plant)))
 
 
 def _site(s: schema.SiteTable, file: Path) -> Site:
@@ -311,3 +318,23 @@ def _check(plant: Plant, table: Path) -> None:
                 f"{file}: receiver[{k + 1}]: {f.ids[away[0]]} of {table.name} aims at {r.name} and is behind "
                 "it; mend azimuth_deg or the receiver that is aimed at"
             )
+
+
+def _doubts(plant: Plant) -> list[str]:
+    """What may be so, but is more often a slip of a unit or of a sign, one sentence each."""
+    f, out = plant.field, []
+    usual = float(np.median(f.distance))
+    far = int(np.argmax(f.distance))
+    if f.distance[far] > FAR * usual:
+        out.append(
+            f"{f.ids[far]} stands {f.distance[far] / 1e3:.4g} m from where it aims, half of the others within "
+            f"{usual / 1e3:.4g} m: mend its place if that is a slip."
+        )
+    for k, r in enumerate(plant.receivers):
+        if r.centre[2] < f.position[:, 2].min():
+            out.append(f"receiver[{k + 1}] lies below all mirrors: mend centre_m if that is a slip.")
+    if 0 < plant.optics.slope < SMOOTH:
+        out.append(
+            f"optics.slope_mrad = {1e3 * plant.optics.slope:g} is smoother than any heliostat: is it in another unit?"
+        )
+    return out

@@ -17,6 +17,7 @@ calls the aim only says how an element stands at one moment and is not read. Com
 from __future__ import annotations
 
 import csv
+import difflib
 import io
 import math
 import re
@@ -146,13 +147,18 @@ def columns_of(table: Cells, wanted: Sequence[str], known: Callable[[str], bool]
     """Places of the columns that a header names, each of which has to be known and those wanted there."""
     line, header = table.rows[0]
     places: dict[str, int] = {}
+    if all(NUMBER.fullmatch(c.strip()) for c in header if c.strip()):
+        raise table.fail(
+            line, 1, 'numbers stand where the columns are named; write a header, or say whose table it is: '
+            'heliostats.format = "solarpilot" or "soltrace"',
+        )  # fmt: skip
     for k, name in enumerate(c.strip() for c in header):
-        if name in places or not known(name):
-            raise table.fail(
-                line,
-                printable(name),
-                "is there twice; remove one" if name in places else "is no column known here; remove it",
-            )
+        if name in places:
+            raise table.fail(line, printable(name), "is there twice; remove one")
+        if not known(name):
+            near = difflib.get_close_matches(name, [*RANGES, "id", "receiver"], n=1)
+            mend = f"did you mean {near[0]}? if not, remove it" if near else "rename it, or remove it"
+            raise table.fail(line, printable(name), f"is no column known here; {mend}")
         places[name] = k
     missing = next((w for w in wanted if w not in places), None)
     if missing:
@@ -312,6 +318,12 @@ def diagnosed_errors(
                 what = part.partition(" =")[0][:30]
                 unused[what] = unused.get(what, 0) + 1
     missing = sum(i not in sizes for i in ids)
+    if missing == len(ids):
+        theirs = next(iter(sizes), "none")
+        raise BenchsimError(
+            f"{path}: holds no heliostat of the plant: {theirs[:30]!r} is one of its ids, {ids[0]!r} one of the "
+            "plant's; mend the ids or heliostats.diagnosed"
+        )
     remarks = []
     if missing:
         remarks.append(

@@ -1,6 +1,7 @@
 """Plants as files: what is read, in which units, and what is refused in which sentence."""
 
 import math
+import re
 import shutil
 from pathlib import Path
 
@@ -169,3 +170,15 @@ def test_shipped_plants_are_those_that_are_made(shipped, tmp_path, name, write):
     for file in ("plant.toml", "heliostats.csv"):
         assert (shipped / name / file).read_text(encoding="utf-8") == (tmp_path / file).read_text(encoding="utf-8")
     assert len(files.read(shipped / name).field) == {"five": 5, "six": 6, "radial100": 100}[name]
+
+
+def test_what_is_more_often_a_slip_is_remarked(tmp_path):
+    begun.radial(tmp_path, 30)
+    text = (tmp_path / "plant.toml").read_text(encoding="utf-8")
+    (tmp_path / "plant.toml").write_text(
+        re.sub(
+            r"slope_mrad = \S+", "slope_mrad = 0.001", re.sub(r"centre_m = \[[^]]*\]", "centre_m = [0, 0, -25]", text)
+        )
+    )
+    said = " ".join(files.read(tmp_path).remarks)
+    assert "receiver[1] lies below all mirrors" in said and "0.001 is smoother than any heliostat" in said
