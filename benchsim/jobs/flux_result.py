@@ -186,9 +186,16 @@ class FluxResult(Shown):
         }
         if limits := self.limits():
             out["limits"] = limits
-        noise = [m.noise for m in self.carlo or self.moments if m.noise is not None]
-        if noise:
-            out["monte_carlo"] = {"rays": sum(x.rays for x in noise), "accuracy": max(x.accuracy for x in noise)}
+        traced = [(m.noise, float(m.received.sum())) for m in self.carlo or self.moments if m.noise is not None]
+        if traced:
+            # Errors of the times are independent of each other; where nothing is lit there is no relative one.
+            lit = [(x.accuracy, power) for x, power in traced if power]
+            together = float(np.hypot.reduce([a * power for a, power in lit])) if lit else None
+            out["monte_carlo"] = {
+                "rays": sum(x.rays for x, _ in traced),
+                "accuracy": together and together / sum(power for _, power in lit),
+                "accuracy_at_worst_time": max((a for a, _ in lit), default=None),
+            }
         if self.partings:
             out["partings"] = [
                 {
@@ -262,7 +269,10 @@ class FluxResult(Shown):
         lines = []
         if "monte_carlo" in plain:
             m = plain["monte_carlo"]
-            lines.append(f"  Monte Carlo: {m['rays'] / 1e6:.3g} million rays, {100 * m['accuracy']:.2g} % at one time")
+            said = "no receiver is lit" if m["accuracy"] is None else f"{100 * m['accuracy']:.2g} %"
+            if len(self.times) > 1 and m["accuracy"] is not None:
+                said += f" of all times together, {100 * m['accuracy_at_worst_time']:.2g} % at the worst"
+            lines.append(f"  Monte Carlo: {m['rays'] / 1e6:.3g} million rays, {said}")
         if self.partings:
             when = f"{self.times[self.brightest]:%Y-%m-%d %H:%M}, " if self.step is not None else ""
             lines.append(f"  where the engines part, {when}and by what of the product's:")
