@@ -18,7 +18,7 @@ from benchsim.jobs.flux_engines import ENGINES, Engine, Pool, moments, parted
 from benchsim.jobs.flux_result import FluxResult
 from benchsim.jobs.output import wanted_folder
 from benchsim.jobs.progress import Progress, silent
-from benchsim.plant import files
+from benchsim.plant import days, files
 from benchsim.plant.model import Plant
 
 Array = NDArray[np.float64]
@@ -116,7 +116,7 @@ def flux(
         raise BenchsimError(f"--accuracy: {accuracy:g} % is out of range; it must be 0.1 to 20")
     stated, sigmas = mount_errors(p, kind, seed)
     if aligned is not None:
-        sun = flux_times.apparent([flux_times.moment(aligned, p, "--aligned")], p)[0]
+        sun = days.suns([days.at(aligned, p.site, "--aligned")], p.site)[0]
         if sun[2] <= 0:
             raise BenchsimError("--aligned: the sun is below the horizon then; name another time")
         p = flux_cost.aligned(p, sun, stated)
