@@ -127,7 +127,8 @@ def flux(
     product = Engine("product", cells)
     rays = Engine("carlo", cells, accuracy / 100 * math.sqrt(len(times.times)), seed, variant)
     with wanted_folder(output, "flux", p.files, options) as staging:
-        wanted = (engine != "carlo", engine != "product", rank)
+        # What errors cost is told by the product, whatever the engine of the maps.
+        wanted = (engine != "carlo" or rank, engine != "product", rank)
         share = 0.95 / sum(wanted)
 
         def told(what: str, part: int) -> Callable[[float], None]:
@@ -138,11 +139,11 @@ def flux(
             pool = Pool(scheduler, workers, own=how.name == "carlo")
             return moments(p, times.suns, times.sky, stated, how, pool, told(what, part))
 
-        found = through(product, "flux", 0) if wanted[0] else ()
+        base = through(product, "flux", 0) if wanted[0] else ()
         traced = through(rays, "rays", 1) if wanted[1] else ()
+        found = base if engine != "carlo" else ()
         cost = None
         if rank:
-            base = found or through(product, "flux", 0)
             cost = flux_cost.cost(
                 p, times, stated, sigmas, base, cells, Pool(scheduler, workers), told("what errors cost", 2)
             )
