@@ -122,7 +122,8 @@ def flux(
         p = flux_cost.aligned(p, sun, stated)
     options = {
         "at": at, "day": day, "year": year, "step": step, "errors": kind, "seed": seed, "aligned": aligned,
-        "irradiance": irradiance, "engine": engine, "accuracy": accuracy,
+        "irradiance": irradiance, "cells": cells, "levels": [float(x) for x in levels], "engine": engine,
+        "accuracy": accuracy, "variant": variant, "rank": rank,
     }  # fmt: skip
     product = Engine("product", cells)
     rays = Engine("carlo", cells, accuracy / 100 * math.sqrt(len(times.times)), seed, variant)

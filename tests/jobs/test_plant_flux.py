@@ -13,6 +13,7 @@ import benchsim as bs
 from benchsim.cli import app
 from benchsim.fluxes.day import Errors, clear_sky, deviated_normals, flux_at
 from benchsim.fluxes.heliostat import Heliostat, Target
+from benchsim.jobs import plant_flux
 from benchsim.plant.moment import Noise
 
 PLANTS = Path(__file__).resolve().parents[2] / "scenes" / "plants"
@@ -55,6 +56,8 @@ def test_a_plant_is_begun_checked_and_computed(tmp_path):
         "benchsim.json", "flux.json", "heliostats.csv", "summary.txt", "flux-receiver.csv", "flux-receiver.png",
         "field.png", "report.html",
     }  # fmt: skip
+    options = json.loads((out / "benchsim.json").read_text())["options"]
+    assert options["levels"] == [10, 50] and {"cells", "rank", "variant"} < set(options)
     plain = json.loads((out / "flux.json").read_text())
     rows = list(csv.DictReader((out / "heliostats.csv").open()))
     assert sum(float(r["power_kw"]) for r in rows) == pytest.approx(plain["receivers"][0]["on_it_kw"], rel=1e-4)
@@ -204,3 +207,15 @@ def test_the_accuracy_of_a_day_is_that_of_all_its_times_together():
     dark = replace(noisy[0], received=np.zeros(1), noise=replace(noisy[0].noise, accuracy=float("inf")))
     assert replace(result, moments=(dark, *noisy[1:])).as_dict()["monte_carlo"]["accuracy"] < 0.04
     assert "no receiver is lit" in replace(result, moments=(dark,), times=result.times[:1]).text()
+
+
+def test_progress_goes_on_where_rays_and_what_errors_cost_are_wanted(monkeypatch):
+    """The product, which costs are compared to, is computed as well."""
+    real = plant_flux.moments
+    monkeypatch.setattr(plant_flux, "moments", lambda *a: real(*a[:4], replace(a[4], name="product"), *a[5:]))
+    heard = []
+    bs.flux(
+        PLANTS / "five", day="2026-06-21", step=6.0, cells=10, engine="carlo", rank=True,
+        progress=lambda _, done: heard.append(done),
+    )  # fmt: skip
+    assert heard == sorted(heard) and len(set(heard)) == len(heard) > 6 and heard[-1] == 1.0
