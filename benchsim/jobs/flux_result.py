@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.jobs.flux_choices import FluxEngine
 from benchsim.jobs.flux_cost import Cost
 from benchsim.jobs.flux_engines import Parting, over_cells
 from benchsim.jobs.output import written
@@ -25,10 +26,10 @@ Array = NDArray[np.float64]
 
 FORMAT = "benchsim-flux/1"
 
-ENGINES = {
-    "product": "error-function product",
-    "carlo": "Monte Carlo",
-    "both": "error-function product, Monte Carlo beside it",
+SAID = {
+    FluxEngine.product: "error-function product",
+    FluxEngine.carlo: "Monte Carlo",
+    FluxEngine.both: "error-function product, Monte Carlo beside it",
 }
 
 LEVELS = (0.25, 0.5, 0.75)
@@ -154,7 +155,7 @@ class FluxResult(Shown):
         out: dict[str, Any] = {
             "format": FORMAT,
             "title": self.plant.title,
-            "engine": ENGINES[self.engine],
+            "engine": SAID[FluxEngine(self.engine)],
             "errors": self.errors,
             "seed": self.seed if self.errors == "drawn" else None,
             "heliostats": len(f),

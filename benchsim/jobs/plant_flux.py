@@ -14,7 +14,8 @@ from threadpoolctl import threadpool_limits
 from benchsim.bench.errors import BenchsimError
 from benchsim.jobs import flux_cost, flux_files, flux_times
 from benchsim.jobs.cluster import Scheduler
-from benchsim.jobs.flux_engines import ENGINES, Engine, Pool, moments, parted
+from benchsim.jobs.flux_choices import FluxEngine, MountErrors
+from benchsim.jobs.flux_engines import Engine, Pool, moments, parted
 from benchsim.jobs.flux_result import FluxResult
 from benchsim.jobs.output import wanted_folder
 from benchsim.jobs.progress import Progress, silent
@@ -23,7 +24,7 @@ from benchsim.plant.model import Plant
 
 Array = NDArray[np.float64]
 
-KINDS = ("stated", "none", "drawn", "diagnosed")
+KINDS = tuple(MountErrors)
 """Whose errors of the mounts are taken."""
 
 
@@ -109,7 +110,7 @@ def flux(
     if rank and at is not None:
         raise BenchsimError("--rank: what errors cost is summed through a day; give --day or --year")
     kind = errors or ("diagnosed" if p.diagnosed else "stated")
-    for option, value, known in (("errors", kind, KINDS), ("engine", engine, ENGINES)):
+    for option, value, known in (("errors", kind, KINDS), ("engine", engine, tuple(FluxEngine))):
         if value not in known:
             raise BenchsimError(f"--{option}: {value!r} is none of {', '.join(known)}")
     if not 0.1 <= accuracy <= 20:
