@@ -26,8 +26,8 @@ import benchsim as bs
 from benchsim.fluxes.day import Errors, Moment, aligned, clear_sky, deviated_normals, flux_at, image_centres
 from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal
 from benchsim.fluxes.table import TABLE, TOWER, Fit, Row, analytic, contradictions, fit_table, sun_at
-from benchsim.jobs import flux_times
 from benchsim.jobs.flux_result import FluxResult
+from benchsim.plant import days as plant_days
 from benchsim.plant import files, sunshape
 from benchsim.plant.model import Field, Optics, Plant
 
@@ -250,7 +250,7 @@ def day_of(sets, times, by: str | None, cells: int = 81) -> list[Moment]:
 
 def by_angles(sets, times, cells: int) -> list[Moment]:
     target, f = FIVE.receivers[0].target, FIVE.field
-    suns = flux_times.apparent([flux_times.moment(t, FIVE, "at") for t in times], FIVE)
+    suns = plant_days.suns([plant_days.at(t, FIVE.site) for t in times], FIVE.site)
     helios = [
         Heliostat(tuple(p), w, h, FIVE.sun.sigma, FIVE.optics.slope, FIVE.optics.reflectance)
         for p, w, h in zip(f.position, f.width, f.height, strict=True)

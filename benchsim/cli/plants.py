@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,23 +21,7 @@ from benchsim.cli.common import (
     folder_of,
     scheduler_of,
 )
-
-
-class MountErrors(StrEnum):
-    """Whose errors of the mounts a flux is computed with."""
-
-    stated = "stated"
-    none = "none"
-    drawn = "drawn"
-    diagnosed = "diagnosed"
-
-
-class FluxEngine(StrEnum):
-    """How a flux is computed."""
-
-    product = "product"
-    carlo = "carlo"
-    both = "both"
+from benchsim.jobs.flux_choices import FluxEngine, MountErrors
 
 
 @app.command()

@@ -324,7 +324,9 @@ def function(problem: Problem, many: Sequence[Fold], laid: Attached, on: Fit, sh
     for fold in many:
         keep, covariance = ~fold.test, fold.naming.noise.covariance
         places = [fold.linear.names.index(n) for n in on.linear.names if n in fold.linear.names]
-        own = replace(fold.linear, effect=fold.linear.effect[:, places], names=tuple(on.linear.names[: len(places)]))
+        own = replace(
+            fold.linear, effect=fold.linear.effect[:, places], names=tuple(fold.linear.names[i] for i in places)
+        )
         seen = whitened(one, prepared, covariance, keep)
         fitted = weigh(one, fold.naming, seen, keep=keep, linear=own, log_evidence=0.0)[0]
         white, _ = whiten(problem, covariance, attachment.basis)

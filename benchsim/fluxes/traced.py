@@ -61,6 +61,8 @@ class Mirrors:
         By which what they reflect is multiplied: reflectance and air.
     specularity : (n,)
         Standard deviation of the reflected ray in one direction [rad].
+    aims : (n,)
+        At which of the surfaces.
     """
 
     position: Array
@@ -73,6 +75,7 @@ class Mirrors:
     reach: Array
     passed: Array
     specularity: Array
+    aims: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,7 @@ class Traced:
     turn : (n,)
         Mean square of the light's distance from the central ray, across it at the receiver's distance [mm²].
     place : (n, 2)
-        Centroid on the receivers, along and up [mm]; nan where nothing lands.
+        Centroid on the receiver aimed at, along and up [mm]; nan where nothing lands there.
     maps, variances : tuple of (along, up) arrays
         Power in each receiver's cells, and its variance [mm², mm⁴].
     rays : int
@@ -174,7 +177,6 @@ def trace(
     seed : int
     variant : str, optional
         Of Mitsuba; see `benchsim.renderer.backend.use`.
-
     """
     use(variant)
     n = len(mirrors.position)
@@ -213,9 +215,8 @@ def trace(
     got = dict(zip(NAMES, per, strict=True))
     # Weights in the kernel are of the mirrors' mean area, so that single precision is of no concern.
     unit = float((mirrors.width * mirrors.height).mean()) / (rays / n)
-    landed = np.maximum(got["landed"], 1e-300)
-    there = got["landed"] > 0
-    place = np.stack([np.where(there, got[k] / landed, np.nan) for k in ("along", "up")], axis=1)
+    aimed = np.where(got["aimed"] > 0, got["aimed"], np.nan)
+    place = np.stack([got["along"] / aimed, got["up"] / aimed], axis=1)
     through = np.maximum(got["whole"] - got["shaded"] - got["blocked"], 1e-300)
     return Traced(
         got["whole"] * scale, got["shaded"] * scale, got["blocked"] * scale, got["landed"] * unit,
@@ -224,7 +225,7 @@ def trace(
     )  # fmt: skip
 
 
-NAMES = ("whole", "shaded", "blocked", "landed", "squared", "turn", "along", "up")
+NAMES = ("whole", "shaded", "blocked", "landed", "squared", "turn", "aimed", "along", "up")
 """What is summed for each heliostat: weights of rays, of those that land also their squares and where."""
 
 
@@ -246,7 +247,7 @@ def _columns(m: Mirrors) -> dict[str, Array]:
     columns = {
         "width": m.width, "height": m.height, "across": 1.0 * m.facets[:, 0], "up": 1.0 * m.facets[:, 1],
         "bend": 0.5 / m.focal, "cant": 0.5 / m.canting, "reach": m.reach, "passed": m.passed * area / area.mean(),
-        "gloss": m.specularity,
+        "gloss": m.specularity, "aims": m.aims,
     }  # fmt: skip
     columns |= {f"p{c}": m.position[:, k] for k, c in enumerate("xyz")}
     return columns | {f"f{i}{j}": m.frame[:, i, j] for i in range(3) for j in range(3)}
@@ -342,10 +343,9 @@ def _rays(
     middle = 2 * dr.dot(frame[2], constant(light.sun)) * frame[2] - constant(light.sun)
     place = world(point)
     aside = place + ray * ((h["reach"] - dr.dot(place, middle)) / dr.dot(ray, middle)) - middle * h["reach"]
-
     cells: list[tuple[Any, Any]] = []
-    along, up, nearest = mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
-    for s, shape in shapes:
+    along, up, nearest, which = mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf), mi.Float(-1.0)
+    for number, (s, shape) in enumerate(shapes):
         rows = [constant(row) for row in s.frame]
         local = [mi.Vector3f(*(dr.dot(row, v) for row in rows)) for v in (centre + place - constant(s.centre), ray)]
         hit = shape.ray_intersect(mi.Ray3f(mi.Point3f(local[0]), local[1]), active=free)
@@ -363,7 +363,7 @@ def _rays(
             mean = u
         first = met & (hit.t < nearest)
         nearest = dr.select(first, hit.t, nearest)
-        along, up = dr.select(first, mean, along), dr.select(first, v, up)
+        along, up, which = (dr.select(first, *x) for x in ((mean, along), (v, up), (float(number), which)))
         many = [variable(k) for k in s.cells]
         i, j = (
             mi.UInt32(dr.clip((w / length + 0.5) * k, 0, k - 1))
@@ -371,8 +371,8 @@ def _rays(
         )
         cells = [(cell, active & ~first) for cell, active in cells]
         cells.append((i * mi.UInt32(many[1]) + j, first))
-    lands = nearest < dr.inf
-    landed = dr.select(lands, weight * h["passed"], 0.0)
+    landed = dr.select(nearest < dr.inf, weight * h["passed"], 0.0)
+    aimed = dr.select(which == h["aims"], landed, 0.0)
     return {
         "whole": weight,
         "shaded": dr.select(shaded, weight, 0.0),
@@ -380,8 +380,9 @@ def _rays(
         "landed": landed,
         "squared": landed**2,
         "turn": dr.select(free, weight * dr.squared_norm(aside), 0.0),
-        "along": landed * along,
-        "up": landed * up,
+        "aimed": aimed,
+        "along": aimed * along,
+        "up": aimed * up,
         "cells": cells,
     }
 

@@ -35,7 +35,9 @@ class Entry:
     choices : tuple of str
         Texts that the reader takes; empty: any.
     kind : str
-        ``number``, ``whole``, ``text``, ``list``, or ``either``: a number or a word.
+        ``number``, ``whole``, ``text`` or ``list``.
+    words : tuple of str
+        That the reader takes in the place of a number.
     length : int
         Of a list.
     ranges : mapping
@@ -48,6 +50,7 @@ class Entry:
     value: str
     choices: tuple[str, ...]
     kind: str
+    words: tuple[str, ...]
     length: int
     ranges: dict[str, float]
 
@@ -120,6 +123,7 @@ def _entry(line: str, title: str) -> Entry | None:
         shown.strip("[]") if kind == "list" else shown,
         tuple(constraints.pop("choices", ())),
         kind,
+        tuple(constraints.pop("words", ())),
         constraints.pop("length", 0),
         constraints,
     )
@@ -142,7 +146,7 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _constraints(annotation: Any) -> Iterator[tuple[str, Any]]:
-    """``kind``, ``length``, ``choices`` and ranges of a type: of a list those of each of its numbers."""
+    """``kind``, ``length``, ``choices``, ``words`` and ranges of a type: of a list those of each of its numbers."""
     if annotation is None:
         return
     kind, metadata = annotation
@@ -161,11 +165,14 @@ def _constraints(annotation: Any) -> Iterator[tuple[str, Any]]:
         return
     if get_origin(kind) is Literal:
         yield "kind", "whole"
+        yield "choices", tuple(map(str, get_args(kind)))
         return
     for part in get_args(kind):
         if getattr(part, "__origin__", part) is float:
-            yield "kind", "either"
+            yield "kind", "number"
             yield from _ranges(getattr(part, "__metadata__", ()))
+        if get_origin(part) is Literal:
+            yield "words", get_args(part)
 
 
 def _ranges(metadata: Any) -> Iterator[tuple[str, float]]:

@@ -26,7 +26,7 @@ from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.jobs.workers import workers
 from benchsim.reports import effects_text
-from benchsim.reports.diagnosis_text import shapes_text
+from benchsim.reports.limits_text import shapes_text
 
 TOLD_AT = 10.0
 """Size in sigma at which effects are compared: at their caps many differ only because one cap is larger."""

@@ -18,8 +18,6 @@ from benchsim.plant.moment import Moment, meshes, moment
 Array = NDArray[np.float64]
 Errors = Mapping[str, Array]
 
-ENGINES = ("product", "carlo", "both")
-
 LONG = 20.0
 """Work that this process would take longer for [s] is spread over others, which take some seconds to start."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchsim.jobs.flux_choices import FluxEngine
 from benchsim.jobs.flux_cost import Cost
 from benchsim.jobs.flux_engines import Parting, over_cells
 from benchsim.jobs.output import written
@@ -26,10 +27,10 @@ Array = NDArray[np.float64]
 
 FORMAT = "benchsim-flux/1"
 
-ENGINES = {
-    "product": "error-function product",
-    "carlo": "Monte Carlo",
-    "both": "error-function product, Monte Carlo beside it",
+SAID = {
+    FluxEngine.product: "error-function product",
+    FluxEngine.carlo: "Monte Carlo",
+    FluxEngine.both: "error-function product, Monte Carlo beside it",
 }
 
 LEVELS = (0.25, 0.5, 0.75)
@@ -162,7 +163,7 @@ class FluxResult(Shown):
         out: dict[str, Any] = {
             "format": FORMAT,
             "title": self.plant.title,
-            "engine": ENGINES[self.engine],
+            "engine": SAID[FluxEngine(self.engine)],
             "errors": self.errors,
             "seed": self.seed if self.errors == "drawn" else None,
             "heliostats": len(f),
@@ -194,9 +195,16 @@ class FluxResult(Shown):
         }
         if limits := self.limits():
             out["limits"] = limits
-        noise = [m.noise for m in self.carlo or self.moments if m.noise is not None]
-        if noise:
-            out["monte_carlo"] = {"rays": sum(x.rays for x in noise), "accuracy": max(x.accuracy for x in noise)}
+        traced = [(m.noise, float(m.received.sum())) for m in self.carlo or self.moments if m.noise is not None]
+        if traced:
+            # Errors of the times are independent of each other; where nothing is lit there is no relative one.
+            lit = [(x.accuracy, power) for x, power in traced if power]
+            together = float(np.hypot.reduce([a * power for a, power in lit])) if lit else None
+            out["monte_carlo"] = {
+                "rays": sum(x.rays for x, _ in traced),
+                "accuracy": together and together / sum(power for _, power in lit),
+                "accuracy_at_worst_time": max((a for a, _ in lit), default=None),
+            }
         if self.partings:
             out["partings"] = [
                 {
@@ -270,7 +278,10 @@ class FluxResult(Shown):
         lines = []
         if "monte_carlo" in plain:
             m = plain["monte_carlo"]
-            lines.append(f"  Monte Carlo: {m['rays'] / 1e6:.3g} million rays, {100 * m['accuracy']:.2g} % at one time")
+            said = "no receiver is lit" if m["accuracy"] is None else f"{100 * m['accuracy']:.2g} %"
+            if len(self.times) > 1 and m["accuracy"] is not None:
+                said += f" of all times together, {100 * m['accuracy_at_worst_time']:.2g} % at the worst"
+            lines.append(f"  Monte Carlo: {m['rays'] / 1e6:.3g} million rays, {said}")
         if self.partings:
             when = f"{self.times[self.brightest]:%Y-%m-%d %H:%M}, " if self.step is not None else ""
             lines.append(f"  where the engines part, {when}and by what of the product's:")

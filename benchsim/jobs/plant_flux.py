@@ -14,16 +14,17 @@ from threadpoolctl import threadpool_limits
 from benchsim.bench.errors import BenchsimError
 from benchsim.jobs import flux_cost, flux_files, flux_times
 from benchsim.jobs.cluster import Scheduler
-from benchsim.jobs.flux_engines import ENGINES, Engine, Pool, moments, parted
+from benchsim.jobs.flux_choices import FluxEngine, MountErrors
+from benchsim.jobs.flux_engines import Engine, Pool, moments, parted
 from benchsim.jobs.flux_result import FluxResult
 from benchsim.jobs.output import wanted_folder
 from benchsim.jobs.progress import Progress, silent
-from benchsim.plant import files
+from benchsim.plant import days, files
 from benchsim.plant.model import Plant
 
 Array = NDArray[np.float64]
 
-KINDS = ("stated", "none", "drawn", "diagnosed")
+KINDS = tuple(MountErrors)
 """Whose errors of the mounts are taken."""
 
 
@@ -109,7 +110,7 @@ def flux(
     if rank and at is not None:
         raise BenchsimError("--rank: what errors cost is summed through a day; give --day or --year")
     kind = errors or ("diagnosed" if p.diagnosed else "stated")
-    for option, value, known in (("errors", kind, KINDS), ("engine", engine, ENGINES)):
+    for option, value, known in (("errors", kind, KINDS), ("engine", engine, tuple(FluxEngine))):
         if value not in known:
             raise BenchsimError(f"--{option}: {value!r} is none of {', '.join(known)}")
     if irradiance is not None and not 1 <= irradiance <= 1400:
@@ -120,18 +121,20 @@ def flux(
         raise BenchsimError(f"--accuracy: {accuracy:g} % is out of range; it must be 0.1 to 20")
     stated, sigmas = mount_errors(p, kind, seed)
     if aligned is not None:
-        sun = flux_times.apparent([flux_times.moment(aligned, p, "--aligned")], p)[0]
+        sun = days.suns([days.at(aligned, p.site, "--aligned")], p.site)[0]
         if sun[2] <= 0:
             raise BenchsimError("--aligned: the sun is below the horizon then; name another time")
         p = flux_cost.aligned(p, sun, stated)
     options = {
         "at": at, "day": day, "year": year, "step": step, "errors": kind, "seed": seed, "aligned": aligned,
-        "irradiance": irradiance, "engine": engine, "accuracy": accuracy,
+        "irradiance": irradiance, "cells": cells, "levels": [float(x) for x in levels], "engine": engine,
+        "accuracy": accuracy, "variant": variant, "rank": rank,
     }  # fmt: skip
     product = Engine("product", cells)
     rays = Engine("carlo", cells, accuracy / 100 * math.sqrt(len(times.times)), seed, variant)
     with wanted_folder(output, "flux", p.files, options) as staging:
-        wanted = (engine != "carlo", engine != "product", rank)
+        # What errors cost is told by the product, whatever the engine of the maps.
+        wanted = (engine != "carlo" or rank, engine != "product", rank)
         share = 0.95 / sum(wanted)
 
         def told(what: str, part: int) -> Callable[[float], None]:
@@ -142,11 +145,11 @@ def flux(
             pool = Pool(scheduler, workers, own=how.name == "carlo")
             return moments(p, times.suns, times.sky, stated, how, pool, told(what, part))
 
-        found = through(product, "flux", 0) if wanted[0] else ()
+        base = through(product, "flux", 0) if wanted[0] else ()
         traced = through(rays, "rays", 1) if wanted[1] else ()
+        found = base if engine != "carlo" else ()
         cost = None
         if rank:
-            base = found or through(product, "flux", 0)
             cost = flux_cost.cost(
                 p, times, stated, sigmas, base, cells, Pool(scheduler, workers), told("what errors cost", 2)
             )

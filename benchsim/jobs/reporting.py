@@ -130,6 +130,8 @@ def _no_page(folder: Path, stamp: Any) -> str:
     """What a folder without a page is, and what to open in it instead."""
     command = stamp.get("command") if isinstance(stamp, dict) else None
     there = [p.name for p in sorted(folder.iterdir()) if p.name in (NAME, "summary.txt") or p.suffix == ".png"]
+    if isinstance(command, str) and NAME in there:
+        return f"{folder}: 'benchsim {command}' has written its page; open {folder / NAME}"
     if isinstance(command, str) and there:
         more = f" and {len(there) - MOST_NAMED} more" if len(there) > MOST_NAMED else ""
         names = ", ".join(there[:MOST_NAMED])

@@ -62,12 +62,17 @@ class Moment:
     image_rms : (n,)
         Of the light's distance from the central ray on the plane perpendicular to it [mm].
     landing : (n, 2)
-        Where the central ray meets the receiver's surface, along and up [mm]; nan: it does not.
+        Where the central ray meets the surface of the receiver aimed at, along and up [mm]; nan: it does not. By Monte
+        Carlo the centroid of the light on that receiver; nan: none is.
     flux : tuple of (along, up) arrays
         On each receiver [W/m²].
     meshes : tuple of Mesh
     grid : float
         By how much the shares caught change, at most, without the edge correction: what finer cells may change.
+    received : (receivers,)
+        Power on each receiver [W]; of the product, what its own heliostats bring to it.
+    noise : Noise or None
+        Of a Monte Carlo.
     """
 
     sun: Array

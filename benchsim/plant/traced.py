@@ -51,6 +51,7 @@ def moment_traced(
         f.position, np.stack([across, up, n], axis=1), f.width, f.height, f.facets,
         np.where(np.isnan(f.focal), f.distance, f.focal), np.where(np.isnan(f.canting), f.distance, f.canting),
         f.distance, reflectance * through, np.full(len(f), o.specularity) if specularity is None else specularity,
+        f.receiver,
     )  # fmt: skip
     surfaces = tuple(_surface(r, m) for r, m in zip(plant.receivers, grids, strict=True))
     light = Light(s, plant.sun.quantiles(), o.slope)

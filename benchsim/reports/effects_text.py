@@ -9,7 +9,8 @@ from math import isfinite
 from textwrap import fill
 
 from benchsim.diagnosis.result import Limit
-from benchsim.reports.diagnosis_text import SIMULATION, WIDTH, defaults_text, number, size_text
+from benchsim.reports.diagnosis_text import SIMULATION, WIDTH, defaults_text, number
+from benchsim.reports.limits_text import size_text
 from benchsim.reports.quantities import unit_text
 from benchsim.reports.vocabulary import BENCH
 

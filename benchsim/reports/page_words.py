@@ -9,11 +9,9 @@ from typing import Any
 from benchsim.diagnosis.result import Size
 from benchsim.reports.conclusion import CONFIDENCE, SETTINGS, gathered, headline, leftover, listed
 from benchsim.reports.diagnosis_text import (
-    INVISIBLE,
     OVERSTATED,
     SIMULATION,
     below_zero,
-    blind_text,
     number,
     odds,
     percent,
@@ -23,6 +21,7 @@ from benchsim.reports.diagnosis_text import (
     shown_text,
     together,
 )
+from benchsim.reports.limits_text import INVISIBLE, blind_text
 from benchsim.reports.quantities import readable, rounded, words_of
 from benchsim.reports.vocabulary import BENCH, Vocabulary, of
 

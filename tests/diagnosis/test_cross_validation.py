@@ -1,6 +1,7 @@
 """Settings left out: the expectation, the isolation of each fold, and what is removed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -102,3 +103,17 @@ def test_what_a_function_explains_is_no_noise():
     x = np.linspace(-1, 1, 24)
     bump = 3.0 * np.exp(-(((x - 0.3) / 0.25) ** 2)) / 0.05
     assert 0.3 * 8 * (bump**2).sum() < d.held_out.excess_chi2_before < 8 * (bump**2).sum()
+
+
+def test_a_fold_without_an_amplitude_keeps_the_names_of_the_others():
+    """A function beside a hypothesis whose first amplitude a fold has not."""
+    problem = toy({"bow": 0.2}, 7, blocks=3)
+    found, many, _ = prepared(problem)
+    first, second = found.linear.names[:2]
+    fold = many[0]
+    short = replace(fold.linear, effect=fold.linear.effect[:, 1:], names=fold.linear.names[1:])
+    on = SimpleNamespace(linear=SimpleNamespace(names=(first, second)))
+    laid = SimpleNamespace(attachment=problem.attachments[0])
+    model = cross_validation.function(problem, (replace(fold, linear=short),), laid, on)
+    assert model.about[0].names == (second,)
+    np.testing.assert_array_equal(model.about[0].effect[:, 0], fold.linear.effect[:, 1])

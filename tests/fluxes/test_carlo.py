@@ -1,14 +1,11 @@
-"""The Monte Carlo in Mitsuba against the analytic flux, with which it shares no formula.
-
-One variant, few rays: a minute of them is in ``analysis/flux_drift.py``.
-"""
+"""The analytic flux against rays of `carlo`, with which it shares no formula, and these against themselves."""
 
 import math
 
+import carlo
 import numpy as np
 import pytest
 
-from benchsim.fluxes import carlo
 from benchsim.fluxes.collado import flux
 from benchsim.fluxes.heliostat import Heliostat, Target, ideal_normal
 from benchsim.fluxes.table import TABLE, Field, sun_at

@@ -18,7 +18,7 @@ from benchsim.diagnosis.result import Diagnosis, Law
 from benchsim.instruments.bench import amended_file, effects, observables, problem
 from benchsim.instruments.bench import pixels as about
 from benchsim.instruments.bench.fitted_simulation import left_out, probable, state
-from benchsim.jobs import comparing, diagnosing
+from benchsim.jobs import comparing, diagnosing, diagnosis_drawing
 from benchsim.renderer import charge
 from benchsim.renderer import recording as rendering
 from benchsim.renderer.effects import gather
@@ -215,7 +215,7 @@ def test_a_law_is_rendered_like_an_effect(bowed, bowed_seen, tmp_path, monkeypat
 
     monkeypatch.setattr(comparing, "compare", keep)
     with pytest.raises(BenchsimError, match="kept"):
-        diagnosing.draw_pixels(result, tmp_path)
+        diagnosis_drawing.draw_pixels(result, tmp_path)
     assert dict(kept["after"].recording.fields) == dict(amended.fields) and not kept["before"].recording.fields
     prior = prior_sigma(bowed.uncertainty, reseated=False)[:7]
     strain = {k: float(np.sum((to_vector(s.errors)[:7] / prior) ** 2)) for k, s in kept.items()}

@@ -33,7 +33,7 @@ from benchsim.diagnosis.result import (
     SplitBy,
     Stretch,
 )
-from benchsim.jobs import diagnosing, effect_catalogue
+from benchsim.jobs import diagnosing, diagnosis_drawing, effect_catalogue
 from benchsim.jobs.workers import Workers
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "bench-other-code"
@@ -57,7 +57,7 @@ def bowed(problem, progress=None):
 @pytest.fixture
 def quick(monkeypatch):
     monkeypatch.setattr(diagnosing.diagnosis, "diagnose", bowed)
-    monkeypatch.setattr(diagnosing, "draw_pixels", lambda *_: ())
+    monkeypatch.setattr(diagnosis_drawing, "draw_pixels", lambda *_: ())
 
 
 def edit(folder, old, new):
@@ -157,7 +157,7 @@ def test_a_render_that_is_not_to_be_had_costs_a_picture_only(recording, tmp_path
     def refuse(*_):
         raise BenchsimError("no usable back end; install LLVM")
 
-    monkeypatch.setattr(diagnosing, "draw_pixels", refuse)
+    monkeypatch.setattr(diagnosis_drawing, "draw_pixels", refuse)
     result = jobs.diagnose(recording, tmp_path / "out")
     assert "not drawn: no usable back end" in result.summary() and (tmp_path / "out" / "probability.png").is_file()
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ import benchsim as bs
 from benchsim.cli import app
 from benchsim.fluxes.day import Errors, clear_sky, deviated_normals, flux_at
 from benchsim.fluxes.heliostat import Heliostat, Target
+from benchsim.jobs import plant_flux
+from benchsim.plant.moment import Noise
 
 PLANTS = Path(__file__).resolve().parents[2] / "scenes" / "plants"
 NOON = "2026-06-21T12:00"
@@ -54,6 +57,8 @@ def test_a_plant_is_begun_checked_and_computed(tmp_path):
         "benchsim.json", "flux.json", "heliostats.csv", "summary.txt", "flux-receiver.csv", "flux-receiver.png",
         "field.png", "report.html",
     }  # fmt: skip
+    options = json.loads((out / "benchsim.json").read_text())["options"]
+    assert options["levels"] == [10, 50] and {"cells", "rank", "variant"} < set(options)
     plain = json.loads((out / "flux.json").read_text())
     rows = list(csv.DictReader((out / "heliostats.csv").open()))
     assert sum(float(r["power_kw"]) for r in rows) == pytest.approx(plain["receivers"][0]["on_it_kw"], rel=1e-4)
@@ -184,3 +189,34 @@ def test_monte_carlo_alone_gives_the_same_sums(monkeypatch):
     assert result.total("power").sum() == pytest.approx(product.total("power").sum(), rel=0.01)
     assert "Monte Carlo" in result.summary() and result.as_dict()["engine"] == "Monte Carlo"
     assert result.on_receivers()[0] == pytest.approx(result.total("power").sum(), rel=1e-4)
+
+
+def test_the_accuracy_of_a_day_is_that_of_all_its_times_together():
+    """Errors are independent from time to time, so that their squares add, weighed by power."""
+    day = bs.flux(PLANTS / "five", day="2026-06-21", step=4.0, cells=10)
+    relative = np.linspace(0.02, 0.04, len(day.moments))
+    noisy = [
+        replace(m, noise=Noise(0 * m.power, tuple(0 * x for x in m.flux), 1000, float(a)))
+        for m, a in zip(day.moments, relative, strict=True)
+    ]
+    power = np.array([m.power.sum() for m in day.moments])
+    result = replace(day, moments=tuple(noisy), engine="carlo")
+    said = result.as_dict()["monte_carlo"]
+    assert said["accuracy"] == pytest.approx(np.sqrt(np.sum((relative * power) ** 2)) / power.sum(), rel=1e-3)
+    assert said["accuracy"] < 0.03 and said["accuracy_at_worst_time"] == pytest.approx(0.04)
+    assert f"{100 * said['accuracy']:.2g} % of all times together, 4 % at the worst" in result.text()
+    dark = replace(noisy[0], received=np.zeros(1), noise=replace(noisy[0].noise, accuracy=float("inf")))
+    assert replace(result, moments=(dark, *noisy[1:])).as_dict()["monte_carlo"]["accuracy"] < 0.04
+    assert "no receiver is lit" in replace(result, moments=(dark,), times=result.times[:1]).text()
+
+
+def test_progress_goes_on_where_rays_and_what_errors_cost_are_wanted(monkeypatch):
+    """The product, which costs are compared to, is computed as well."""
+    real = plant_flux.moments
+    monkeypatch.setattr(plant_flux, "moments", lambda *a: real(*a[:4], replace(a[4], name="product"), *a[5:]))
+    heard = []
+    bs.flux(
+        PLANTS / "five", day="2026-06-21", step=6.0, cells=10, engine="carlo", rank=True,
+        progress=lambda _, done: heard.append(done),
+    )  # fmt: skip
+    assert heard == sorted(heard) and len(set(heard)) == len(heard) > 6 and heard[-1] == 1.0

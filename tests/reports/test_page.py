@@ -509,3 +509,11 @@ def test_a_folder_without_a_page_says_what_to_open(tmp_path):
         BenchsimError, match=r"of 'benchsim flux' no page is made; open field\.png, flux-tower\.png, sum"
     ):
         jobs.report(tmp_path)
+
+
+def test_a_folder_that_has_its_page_says_to_open_that(tmp_path):
+    (tmp_path / "benchsim.json").write_text(json.dumps({"command": "flux"}))
+    for name in ("summary.txt", "field.png", "report.html"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(BenchsimError, match=r"'benchsim flux' has written its page; open \S*report\.html$"):
+        jobs.report(tmp_path)

@@ -352,3 +352,23 @@ def test_a_form_says_what_the_reader_would(browser, begun):
     assert put(browser, "shape", "cylinder") == [""] and put(browser, "facets", "-") == [""]
     assert "facets" not in browser.value("assembled()").split("[screen]")[0].replace("facets,", "")
     browser.picture("form-phone")
+
+
+def line_of(browser, key, value):
+    """What stands in the file for a value of a key that occurs once; None: no line."""
+    put(browser, key, value)
+    found = [x for x in browser.value("assembled()").split("\n") if x.startswith(f"{key} =")]
+    return found[0].split("#")[0].strip() if found else None
+
+
+def test_a_form_writes_what_toml_takes_and_a_dash_leaves_a_line_out(browser, begun):
+    browser.show(begun / "form.html")
+    assert line_of(browser, "shape", "-") is None and line_of(browser, "shape", "") == 'shape = "?"'
+    assert line_of(browser, "facets", "05") == "facets = 5" and line_of(browser, "facets", "+012") == "facets = 12"
+    assert line_of(browser, "wavelength_nm", "0632.8") == "wavelength_nm = 632.8"
+    assert put(browser, "gamma", "sRBG") == [" ✗ write a number, or srgb, unknown"]
+    assert line_of(browser, "gamma", "srgb") == 'gamma = "srgb"' and line_of(browser, "gamma", "2.2") == "gamma = 2.2"
+    offered = "[...document.querySelectorAll('datalist option')].map(o => o.value)"
+    assert browser.value(offered) == ["srgb", "unknown"]
+    bits = "[...document.querySelectorAll('select')].map(s => [...s.options].map(o => o.value))"
+    assert ["", "-", "8", "16"] in browser.value(bits) and line_of(browser, "bit_depth", "16") == "bit_depth = 16"

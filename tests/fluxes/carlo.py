@@ -1,8 +1,9 @@
 """A heliostat's flux by Monte Carlo in Mitsuba: spherical facets, Gaussian sun, Gaussian slopes, a plane target.
 
-Nothing is shared with `benchsim.fluxes.collado` but the heliostat and the target: rays start at random places before a
-facet from a random point of the sun, meet a sphere (a shape of Mitsuba's), are reflected at its normal, disturbed by a
-random slope, and meet the target's rectangle. No blocking, no shading.
+A reference for tests. Nothing is shared with `benchsim.fluxes.collado` but the heliostat and the target, nothing with
+`benchsim.fluxes.traced`: rays start at random places before a facet from a random point of the sun, meet a sphere (a
+shape of Mitsuba's), are reflected at its normal, disturbed by a random slope, and meet the target's rectangle. No
+blocking, no shading.
 
 Float32 keeps 6e-8 of a length: sphere and target are scenes of their own, each in its own frame, at the facet's vertex
 and at the target's centre, so that 200 m cost 0.01 mm. Facets are spheres of radius 2 d, set in a plane and canted so
