@@ -25,9 +25,6 @@ Array = NDArray[np.float64]
 BEFORE = 0.05
 """Least cosine between where the arrays look and the way to a heliostat that they can see: 87°."""
 
-HIDING = 3000
-"""Heliostats up to which it is looked whether one stands before another: the time grows with the number's square."""
-
 UNSEEN = {
     "other": "aims at another receiver than the arrays' one",
     "behind": "stands behind the plane of the arrays",
@@ -86,11 +83,9 @@ class Watch:
         """Part (k,) of each heliostat's light that arrives, and who is hidden by another's mirror."""
         f = self.plant.field
         through = transmitted(f.distance[self.who], self.plant.site.attenuation)
-        if len(f) > HIDING:
-            return through, np.zeros(len(self.who), bool)
         n = normals(f, sun)
         behind = hidden(f.position, n, f.width, f.height, sun)
-        behind |= hidden(f.position, n, f.width, f.height, f.aim - f.position)
+        behind |= hidden(f.position, n, f.width, f.height, f.aim - f.position, f.distance)
         return np.where(behind[self.who], 0.0, through), behind[self.who]
 
     def misaligned(self, sun: Array, errors: Mapping[str, Array]) -> Array:

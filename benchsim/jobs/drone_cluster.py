@@ -177,8 +177,8 @@ class Cluster:
         f = self.plant.field
         places = np.array([self.place(k) for k in self.who])
         ways = self.target - places
-        n = ways / np.linalg.norm(ways, axis=1, keepdims=True)
-        return hidden(places, n, f.width[self.who], f.height[self.who], ways)
+        far = np.linalg.norm(ways, axis=1)
+        return hidden(places, ways / far[:, None], f.width[self.who], f.height[self.who], ways, far)
 
     def geographic(self, points: Array) -> Array:
         """(n, 3) latitude, longitude [deg], height [m] of points in the cluster's frame, near the target."""
