@@ -229,14 +229,14 @@ class RecordResult(Shown):
         """Plain sentences for ``summary.txt``."""
         said = ", ".join(f"{k} {v}" for k, v in Counter(r["outcome"] for r in self.rows).most_common())
         lines = [f"record of {self.duration:.3g} s at {self.time:%Y-%m-%d %H:%M %Z}: {said}"]
-        known = [r for r in self.rows if r["raise_mrad"] is not None or r["turn_eastward_mrad"] is not None]
-        known.sort(key=lambda r: -max(abs(r["raise_mrad"] or 0), abs(r["turn_eastward_mrad"] or 0)))
+        known = [r for r in self.rows if r["raise_mrad"] is not None or r["turn_azimuth_mrad"] is not None]
+        known.sort(key=lambda r: -max(abs(r["raise_mrad"] or 0), abs(r["turn_azimuth_mrad"] or 0)))
         if known:
-            lines.append("  turn the mirrors' normals, largest first (all in measured.csv): raise, toward east [mrad]")
+            lines.append("  turn normals, largest first (all in measured.csv): raise, turn clockwise from above [mrad]")
         for r in known[:TOLD]:
             by = (
                 "unknown" if r[k] is None else f"{r[k]:+.3f} ± {r[s]:.2g}"
-                for k, s in (("raise_mrad", "sigma_elevation_mrad"), ("turn_eastward_mrad", "sigma_azimuth_mrad"))
+                for k, s in ((k, "sigma_" + k) for k in ("raise_mrad", "turn_azimuth_mrad"))
             )
             lines.append(f"    {r['id']:<12} {'   '.join(by)}   {r['outcome']}")
         return "\n".join([*lines, *self.remarks])

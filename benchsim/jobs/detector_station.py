@@ -151,7 +151,11 @@ def unseen(plant: Plant, station: Station) -> list[str]:
 def estimates(
     scene: arrays.Plant, ids: Sequence[str], found: Sequence[Measurement], truth: Array | None = None
 ) -> list[dict[str, Any]]:
-    """What was measured of each heliostat, and how it is to be turned, as plain values in mrad; None: unknown."""
+    """What was measured of each heliostat, and how it is to be turned, as plain values in mrad; None: unknown.
+
+    ``raise`` lifts the normal, ``turn_azimuth`` lets its azimuth grow, which runs from north through east: clockwise
+    from above, eastward only of normals that look north.
+    """
     out = []
     turn = arrays.correction(list(found))
     for m, name, by, frame in zip(found, ids, turn, scene.frames, strict=True):
@@ -166,7 +170,9 @@ def estimates(
             if truth is not None:
                 row[f"true_{kind}_mrad"] = _mrad(truth[m.heliostat, k])
         row["raise_mrad"] = _mrad(-by[0]) if known[0] else None
-        row["turn_eastward_mrad"] = _mrad(-by[1] / np.cos(high)) if known[1] else None
+        row["sigma_raise_mrad"] = _mrad(sigma[0]) if known[0] else None
+        row["turn_azimuth_mrad"] = _mrad(-by[1] / np.cos(high)) if known[1] else None
+        row["sigma_turn_azimuth_mrad"] = _mrad(sigma[1] / np.cos(high)) if known[1] else None
         row["says"] = m.says
         out.append(row)
     return out
