@@ -100,12 +100,13 @@ class DroneReading(Shown):
         lines = [
             f"cluster {self.cluster.number}: {self.pictures} pictures, axes of {len(known)} of {len(self.rows)} "
             "heliostats",
-            "  looks beside where it was told to, by azimuth and elevation [mrad]; sigma_mean and sigma_sys",
+            "  looks beside where it was told to, by azimuth and elevation [mrad]; of the axis sigma_mean, sigma_sys",
         ]
         for r in self.rows:
             lines.append(
-                f"    {r['id']:<10} {r['azimuth_off_mrad']:+8.3f} {r['elevation_off_mrad']:+8.3f}   "
-                f"± {r['sigma_mean_mrad']:.2f} ± {r['sigma_sys_mrad']:.2f}   {r['glints']} glints"
+                f"    {r['id']:<10} {r['azimuth_off_mrad']:+8.3f} ± {r['sigma_azimuth_off_mrad']:.2f} "
+                f"{r['elevation_off_mrad']:+8.3f} ± {r['sigma_elevation_off_mrad']:.2f}   "
+                f"{r['sigma_mean_mrad']:.2f}, {r['sigma_sys_mrad']:.2f}   {r['glints']} glints"
                 if not r["says"]
                 else f"    {r['id']:<10} {r['says']}"
             )
@@ -381,8 +382,9 @@ def _row(c: Cluster, k: int, s: Sightings, eyes: Array, missed: int, pictures: i
     width, _, system = c.sigma(k)
     row: dict[str, Any] = {"id": c.plant.field.ids[k], "glints": len(s.frame), "not_found_in": missed}
     numbers = (
-        "outliers", "azimuth_off_mrad", "elevation_off_mrad", "axis_east", "axis_north", "axis_up", "sigma_ad_mrad",
-        "sigma_ad_expected_mrad", "sigma_mean_mrad", "sigma_sys_mrad", "sigma_mrad", "p_normal",
+        "outliers", "azimuth_off_mrad", "sigma_azimuth_off_mrad", "elevation_off_mrad", "sigma_elevation_off_mrad",
+        "axis_east", "axis_north", "axis_up", "sigma_ad_mrad", "sigma_ad_expected_mrad", "sigma_mean_mrad",
+        "sigma_sys_mrad", "sigma_mrad", "p_normal",
     )  # fmt: skip
     row |= dict.fromkeys(numbers)
     if missed > pictures / 2:
@@ -394,10 +396,11 @@ def _row(c: Cluster, k: int, s: Sightings, eyes: Array, missed: int, pictures: i
         return row | {"says": printable(str(error))}
     axis = e.axis @ ENU
     mean = float(stated(e).max())
+    sigma = math.hypot(mean, system)
     values = (
-        int((~e.kept).sum()), 1e3 * (e.mount.azimuth - mount.azimuth), 1e3 * (e.mount.elevation - mount.elevation),
-        *axis.tolist(), 1e3 * float(e.sigma_ad.max()), 1e3 * width, 1e3 * mean, 1e3 * system,
-        1e3 * math.hypot(mean, system), float(e.p_normal.min()),
+        int((~e.kept).sum()), 1e3 * (e.mount.azimuth - mount.azimuth), 1e3 * sigma / math.cos(e.mount.elevation),
+        1e3 * (e.mount.elevation - mount.elevation), 1e3 * sigma, *axis.tolist(), 1e3 * float(e.sigma_ad.max()),
+        1e3 * width, 1e3 * mean, 1e3 * system, 1e3 * sigma, float(e.p_normal.min()),
     )  # fmt: skip
     return row | dict(zip(numbers, values, strict=True)) | {"says": ""}
 
@@ -425,11 +428,11 @@ def _contradictions(rows: Sequence[dict[str, Any]]) -> list[str]:
         )
     if len(known) > 2:
         off = np.array([[r["azimuth_off_mrad"], r["elevation_off_mrad"]] for r in known])
-        sigma = np.array([r["sigma_mrad"] for r in known])
+        sigma = np.array([[r["sigma_azimuth_off_mrad"], r["sigma_elevation_off_mrad"]] for r in known])
         mean = off.mean(axis=0)
-        if (np.abs(mean) > 4 * np.hypot(sigma.mean(), off.std(axis=0)) / math.sqrt(len(known))).any():
+        if (np.abs(mean) > 4 * np.hypot(sigma.mean(axis=0), off.std(axis=0)) / math.sqrt(len(known))).any():
             out.append(
-                f"All heliostats look {mean[0]:+.2f} and {mean[1]:+.2f} mrad beside on average: the drone's "
-                "positions or the site may be shifted."
+                f"All heliostats look {mean[0]:+.2f} (azimuth) and {mean[1]:+.2f} mrad beside on average: the "
+                "drone's positions or the site may be shifted."
             )
     return out
