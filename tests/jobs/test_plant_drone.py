@@ -183,7 +183,7 @@ def test_azimuths_err_by_their_sigma_also_high_up(plant):
     assert (np.sqrt(np.mean(np.square(pulls), axis=0)) < 2.2).all()
     # 1.5 of six equal sigmas are no contradiction, 4/√6 = 1.63 are one.
     beside = [r | {"azimuth_off_mrad": 1.5 * r["sigma_azimuth_off_mrad"], "elevation_off_mrad": 0.0} for r in rows]
-    assert not drone_photos._contradictions(beside)
+    assert "beside on average" not in " ".join(drone_photos._contradictions(beside))
 
 
 @pytest.mark.slow
