@@ -66,8 +66,9 @@ class Watch:
         """The arrays in their frame, in which y runs to the right of who looks at them."""
         out = []
         for a in self.station.arrays:
-            low, high = (a.low, a.high) if a.upright else (-(a.low + (a.count - 1) * a.pitch), -a.low)
-            out.append(Line(a.name, a.upright, -a.offset if a.upright else a.offset, low, high, a.pitch))
+            along = np.sort(a.along if a.upright else -a.along)
+            offset = -a.offset if a.upright else a.offset
+            out.append(Line(a.name, a.upright, offset, float(along[0]), float(along[-1]), a.pitch))
         return tuple(out)
 
     def scene(self, sun: Array, lines: Sequence[Line] | None = None, some: Any = slice(None)) -> arrays.Plant:

@@ -377,26 +377,37 @@ def _placed(plant: Plant, w: Watch, times: Sequence[datetime], told: Any) -> Sta
     best = placing.search(moments, w.assumptions, found, LIMIT, told)
     arrays = []
     for old, line in zip(s.arrays, best.lines, strict=True):
-        low, high = (line.low, line.high) if line.upright else (-line.high, -line.low)
-        arrays.append(replace(old, offset=-line.offset if line.upright else line.offset, low=low, high=high))
+        along = line.along if line.upright else -line.along
+        offset = -line.offset if line.upright else line.offset
+        arrays.append(replace(old, offset=offset, low=float(along.min()), count=len(along)))
     return Station(s.receiver, s.azimuth, tuple(arrays), ())
 
 
 def _table(a: DetectorArray) -> dict[str, Any]:
-    """Of the plant's file."""
+    """Of the plant's file, to twelve digits: with fewer the last detector may be lost."""
+    lengths = {"offset_m": a.offset, "from_m": a.along[0], "to_m": a.along[-1], "pitch_m": a.pitch}
     return {
         "name": a.name,
         "along": "vertical" if a.upright else "horizontal",
-        "offset_m": round(a.offset / 1e3, 4),
-        "from_m": round(a.low / 1e3, 4),
-        "to_m": round(a.high / 1e3, 4),
-        "pitch_m": round(a.pitch / 1e3, 4),
+        **{k: round(float(v) / 1e3, 12) for k, v in lengths.items()},
     }
+
+
+def tables_of(plant: Plant, station: Station | None = None) -> str:
+    """A station's arrays, or the plant's, as its file states them."""
+    s = station or plant.station
+    if s is None:
+        return ""
+    own = {"receiver": plant.receivers[s.receiver].name, "azimuth_deg": round(float(np.degrees(s.azimuth)), 12)}
+    return "\n".join(
+        "[[detector]]\n" + "".join(f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in (_table(a) | own).items())
+        for a in s.arrays
+    )
 
 
 def _place(a: DetectorArray) -> str:
     side = ("left" if a.offset > 0 else "right") if a.upright else ("above" if a.offset > 0 else "below")
-    ends = f"{a.low / 1e3:.3g} to {a.high / 1e3:.3g} m"
+    ends = f"{a.along[0] / 1e3:.3g} to {a.along[-1] / 1e3:.3g} m"
     return f"{a.count} detectors {abs(a.offset) / 1e3:.3g} m {side} ({ends})"
 
 
@@ -412,11 +423,7 @@ def _write(r: DetectorsResult, folder: Path) -> None:
     header = ["time", "id", "seen", "hidden", "sigma_elevation_mrad", "sigma_azimuth_mrad"]
     write_csv(folder / "times.csv", header, body, 4)
     write_csv(folder / "detectors.csv", detector_record.CHANNELS, detector_record.channels(r.watch), 7)
-    tables = []
-    for a in r.watch.station.arrays:
-        t = _table(a)
-        tables.append("[[detector]]\n" + "".join(f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in t.items()))
-    write_text(folder / "detectors.toml", "\n".join(tables))
+    write_text(folder / "detectors.toml", tables_of(r.plant, r.watch.station))
     first, *more = r.figures()
     save(first, folder / "plan.png")
     for figure in more:

@@ -31,6 +31,12 @@ FEWEST, MOST = 40, 200
 SUN = 9.3e-3
 """Width of the sun's disc [rad]."""
 
+ROUND = 0.1
+"""To which the pitch of such arrays is rounded [mm], so that a file states them in few digits."""
+
+LAST = 1e-6
+"""Part of a pitch by which the last detector may stand beyond a stated end: it is decimals that are stated."""
+
 NOT_STATED = (
     "No [[detector]] is stated: two arrays are taken, {pitch:.3g} m between detectors, {clear:g} m beyond the edges "
     "of {name}."
@@ -94,10 +100,9 @@ def station(tables: Sequence[schema.DetectorTable], receivers: Sequence[Receiver
             raise BenchsimError(
                 f"{file}: detector[{k}].to_m: {t.to_m:g} m is not beyond from_m = {t.from_m:g} m by a pitch; mend it"
             )
+        count = int((t.to_m - t.from_m) / t.pitch_m + LAST) + 1
         out.append(
-            DetectorArray(
-                t.name, t.along == "vertical", 1e3 * t.offset_m, 1e3 * t.from_m, 1e3 * t.to_m, 1e3 * t.pitch_m
-            )
+            DetectorArray(t.name, t.along == "vertical", 1e3 * t.offset_m, 1e3 * t.from_m, count, 1e3 * t.pitch_m)
         )
     if len({a.name for a in out}) < len(out):
         raise BenchsimError(f"{file}: detector: two have one name; name each of them differently")
@@ -128,9 +133,10 @@ def _suited(receivers: Sequence[Receiver], field: Field) -> Station:
     offsets = r.height / 2 + CLEAR, r.width / 2 + CLEAR
     half = min(max(2 * max(offsets) + REACH * float(far.max()), 1e3), 250e3)
     pitch = float(np.clip(SUN * float(far.min()) / ACROSS_SUN, 2 * half / MOST, 2 * half / FEWEST))
-    half = pitch * math.floor(half / pitch)
+    pitch = ROUND * round(pitch / ROUND)
+    steps = math.floor(half / pitch)
     arrays = tuple(
-        DetectorArray(name, upright, offset, -half, half, pitch)
+        DetectorArray(name, upright, offset, -steps * pitch, 2 * steps + 1, pitch)
         for name, upright, offset in zip(("above", "left"), (False, True), offsets, strict=True)
     )
     return Station(k, azimuth, arrays, (NOT_STATED.format(pitch=pitch / 1e3, clear=CLEAR / 1e3, name=r.name),))

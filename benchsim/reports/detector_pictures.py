@@ -101,7 +101,7 @@ def _front(axes: Any, station: Station, receiver: Receiver) -> None:
     axes.add_patch(Rectangle((-w / 2, -h / 2), w, h, facecolor="#fdf3d0", edgecolor="#e6a100"))
     axes.text(0, 0, receiver.name, ha="center", va="center", fontsize=8, color=GREY)
     for k, a in enumerate(station.arrays):
-        along = (a.low + a.pitch * np.arange(a.count)) / 1e3
+        along = a.along / 1e3
         off = np.full_like(along, a.offset / 1e3)
         x, z = (off, along) if a.upright else (along, off)
         axes.plot(x, z, "|" if not a.upright else "_", color=(RED, BLUE, GREY)[k % 3], markersize=5)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
+from benchsim.jobs.plant_detectors import tables_of
 from benchsim.plant import files
 from benchsim.plant.hiding import hidden
 
@@ -26,6 +27,27 @@ def test_arrays_are_as_stated_or_as_suits_the_field(written):
     suited = files.read(written()).station
     assert len(suited.arrays) == 2 and "No [[detector]]" in suited.remarks[0]
     assert np.allclose(suited.frame @ suited.frame.T, np.eye(3)) and np.linalg.det(suited.frame) > 0
+
+
+@pytest.mark.parametrize("far", [60.0, 71.3, 83.7, 97.1])
+@pytest.mark.parametrize(
+    "kind", ["width_m = 3.0\n", 'kind = "cylinder"\ndiameter_m = 3.0\n'], ids=["plane", "cylinder"]
+)
+def test_arrays_that_suit_a_field_are_the_same_when_written_and_read(written, far, kind):
+    """Beside the second receiver, whose arrays a file has to name; pitches by the nearest heliostat."""
+    other = '[[receiver]]\nname = "other"\ncentre_m = [0.0, 0.0, 32.0]\nheight_m = 3.0\n' + kind
+    table = f"id,east_m,north_m,up_m,receiver\nA,0,{far},0,other\nB,15,90,0,other\nC,30,90,0,target\n"
+    own = [("width_m = 3.0\nheight_m = 3.0\n[sun]", f"width_m = 3.0\nheight_m = 3.0\n{other}[sun]")]
+    folder = written(*own, table=table)
+    suited = files.read(folder)
+    with (folder / "plant.toml").open("a") as file:
+        file.write(tables_of(suited))
+    again = files.read(folder).station
+    assert again.remarks == () and again.receiver == suited.station.receiver == 1
+    np.testing.assert_allclose(again.frame, suited.station.frame, atol=1e-12)
+    for a, b in zip(again.arrays, suited.station.arrays, strict=True):
+        assert a.count == b.count and a.upright == b.upright
+        np.testing.assert_allclose((a.offset, a.low, a.pitch), (b.offset, b.low, b.pitch), rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(
