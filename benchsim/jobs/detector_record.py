@@ -304,7 +304,7 @@ def detectors_read(
     if not len(some):
         raise BenchsimError(f"--round: the plan has {w.labels.rounds} rounds, not {round}; name one of them")
     inputs = [*p.files, path, *([Path(labels)] if labels is not None else [])]
-    with wanted_folder(output, "detectors", inputs, {"at": at, "round": round}) as staging:
+    with wanted_folder(output, "detectors read", inputs, {"at": at, "round": round}) as staging:
         progress("reading", 0.0)
         count = sum(len(line.along) for line in w.lines)
         rate, samples, there = read_record(path, count)

@@ -206,7 +206,8 @@ def drone_read(
     c = _cluster(p, east, cluster)
     eyes = (east - c.middle) @ ENU.T
     remarks += _beside(c, eyes)
-    with wanted_folder(output, "drone", [*p.files, Path(camera), *said, *paths], {"cluster": c.number}) as staging:
+    inputs = [*p.files, Path(camera), *said, *paths]
+    with wanted_folder(output, "drone read", inputs, {"cluster": c.number}) as staging:
         found, missed = _sightings(c, lens, paths, eyes, progress)
         rows = [_row(c, int(k), found[i], eyes, missed[i], len(paths)) for i, k in enumerate(c.who)]
         remarks += _contradictions(rows)

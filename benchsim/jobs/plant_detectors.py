@@ -141,7 +141,7 @@ class DetectorsResult(Shown):
     def _says(self, i: int) -> str:
         seen, crossed, hidden = self.seen[:, i], self.crossed[:, i], self.hidden[:, i]
         if seen.all():
-            return "seen whenever the sun is up"
+            return f"seen at all {len(seen)} times"
         lacks = []
         if hidden.any():
             lacks.append(f"hidden by another mirror at {hidden.sum()} of {len(hidden)} times")
@@ -302,7 +302,8 @@ def detectors(
     times = [days.at(at, p.site)] if at is not None else [t for d in dates for t in days.of_day(d, step, p.site)]
     times = _lit(times, p, LOWEST if at is None else 0.0)
     w = watch(p)
-    options = {"at": at, "day": day, "year": year, "step": step, "place": place, "record": record, "seed": seed}
+    options = {"at": at, "day": day, "year": year, "step": step, "place": place, "record": record}
+    options |= {"errors": errors, "seed": seed}
     with wanted_folder(output, "detectors", p.files, options) as staging:
         weight = (2 if place else 0) + 1 + (3 if when is not None else 0)
 

@@ -96,11 +96,11 @@ def station(tables: Sequence[schema.DetectorTable], receivers: Sequence[Receiver
                     f"{file}: detector[{k}].{key}: all arrays stand on one plane beside one receiver; make it that of "
                     "detector[1]"
                 )
-        if t.to_m < t.from_m + t.pitch_m:
+        count = int((t.to_m - t.from_m) / t.pitch_m + LAST) + 1
+        if count < 2:
             raise BenchsimError(
                 f"{file}: detector[{k}].to_m: {t.to_m:g} m is not beyond from_m = {t.from_m:g} m by a pitch; mend it"
             )
-        count = int((t.to_m - t.from_m) / t.pitch_m + LAST) + 1
         out.append(
             DetectorArray(t.name, t.along == "vertical", 1e3 * t.offset_m, 1e3 * t.from_m, count, 1e3 * t.pitch_m)
         )

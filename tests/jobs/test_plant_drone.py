@@ -186,6 +186,18 @@ def test_azimuths_err_by_their_sigma_also_high_up(plant):
     assert "beside on average" not in " ".join(drone_photos._contradictions(beside))
 
 
+def test_a_reading_does_not_replace_a_plan(plant, tmp_path):
+    camera_file(tmp_path / "camera.toml", (64, 48), 100.0)
+    (tmp_path / "photos").mkdir()
+    for k in range(3):
+        picture = Image.fromarray(np.full((48, 64), 90, np.uint8))
+        picture.save(tmp_path / "photos" / f"{k}.jpg", exif=tagged(37.001 + 1e-5 * k, -2.0, 590.0))
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "benchsim.json").write_text('{"command": "drone"}')
+    done = run("drone", "read", tmp_path / "photos", plant, "--camera", tmp_path / "camera.toml", "-o", tmp_path / "o")
+    assert done.exit_code == 1 and "not written by 'benchsim drone read'" in done.output, done.output
+
+
 @pytest.mark.slow
 def test_pictures_of_mitsuba_are_read_by_the_command_alone(plant, tmp_path):
     """Rendered, written as JPEG with EXIF GPS, read back: axes within 4 of the stated sigma, as the truth has them."""
