@@ -63,11 +63,6 @@ def channels(w: Watch) -> list[list[Any]]:
     return out
 
 
-def name_of(row: list[Any]) -> str:
-    """Of a channel in a table."""
-    return f"detector_{row[0]}"
-
-
 @dataclass(frozen=True, repr=False)
 class Simulated:
     """A simulated record, what was measured, and what the drives make of it.

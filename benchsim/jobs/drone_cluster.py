@@ -86,7 +86,7 @@ class Cluster:
 
     @property
     def tracking(self) -> float:
-        """1 sigma by which they may look beside [rad]."""
+        """1 sigma by which they may look beside [rad]: rms of those stated of IA and IE, or `TRACKING` if none is."""
         s = self.plant.field.sigmas
         there = [float(np.sqrt(np.mean(s[k] ** 2))) for k in ("IA", "IE") if k in s]
         return math.sqrt(sum(x * x for x in there) / len(there)) if any(there) else TRACKING

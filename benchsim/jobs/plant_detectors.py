@@ -236,11 +236,11 @@ class DetectorsResult(Shown):
         out = [
             detector_pictures.plan(
                 f.position, share, w.station, receiver, self.times, self.seen.mean(axis=1) * len(w.who) / len(f),
-                far, np.where(self.seen[..., None], self.sigma, np.nan), w.plant.site.zone.key,
+                far, np.where(self.seen[..., None], self.sigma, np.nan), w.plant.site.zone.key, 1e3 * LIMIT,
             )
         ]  # fmt: skip
         if self.record is not None:
-            out.append(detector_pictures.loop(self.record.before, self.record.after, self.record.outcomes))
+            out.append(detector_pictures.loop(self.record.before, self.record.after, self.record.outcomes, 1e3 * LIMIT))
         return out
 
 

@@ -13,6 +13,7 @@ from benchsim.fluxes.heliostat import unit
 from benchsim.plant import schema
 from benchsim.plant.model import Field, Receiver
 from benchsim.plant.station import DetectorArray, DroneFlight, Prisms, Station
+from benchsim.plant.sunshape import DISC
 
 CLEAR = 2e3
 """From a receiver's edge to arrays that a file does not state [mm]: out of its heat, as near the light as can be."""
@@ -27,9 +28,6 @@ flanks."""
 
 FEWEST, MOST = 40, 200
 """Detectors of such an array: fewer, or more, cost light, or wires."""
-
-SUN = 9.3e-3
-"""Width of the sun's disc [rad]."""
 
 ROUND = 0.1
 """To which the pitch of such arrays is rounded [mm], so that a file states them in few digits."""
@@ -132,7 +130,7 @@ def _suited(receivers: Sequence[Receiver], field: Field) -> Station:
         azimuth = math.atan2(e, n)
     offsets = r.height / 2 + CLEAR, r.width / 2 + CLEAR
     half = min(max(2 * max(offsets) + REACH * float(far.max()), 1e3), 250e3)
-    pitch = float(np.clip(SUN * float(far.min()) / ACROSS_SUN, 2 * half / MOST, 2 * half / FEWEST))
+    pitch = float(np.clip(2 * DISC * float(far.min()) / ACROSS_SUN, 2 * half / MOST, 2 * half / FEWEST))
     pitch = ROUND * round(pitch / ROUND)
     steps = math.floor(half / pitch)
     arrays = tuple(

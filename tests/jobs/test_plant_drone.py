@@ -169,7 +169,7 @@ def test_azimuths_err_by_their_sigma_also_high_up(plant):
     table.write_text("\n".join(["id,east_m,north_m,up_m", *(f"H{k},{9 * k - 23},150,2" for k in range(6))]))
     (c,) = clusters(files.read(plant))
     rng, errors = np.random.default_rng(72), c.errors()
-    flight = fly(c.target, c.route, errors, rng)
+    flight = fly(c.target, c.route, errors, rng, c.lamps)
     pulls, rows = [], []
     for k in c.who:
         (h,) = stand([c.place(k)], c.design(k), c.target, errors, rng)
@@ -198,6 +198,19 @@ def test_a_reading_does_not_replace_a_plan(plant, tmp_path):
     assert done.exit_code == 1 and "not written by 'benchsim drone read'" in done.output, done.output
 
 
+def test_the_lamp_flies_where_the_plant_states_it(plant):
+    """Beside the camera and over it, also as the drone says: 200 mm to the right and 50 up, square to its axis."""
+    file = plant / "plant.toml"
+    file.write_text(file.read_text() + "lamp_right_mm = 200.0\nlamp_up_mm = 50.0\n")
+    (c,) = clusters(files.read(plant))
+    flight = fly(c.target, c.route, c.errors(), np.random.default_rng(1), c.lamps)
+    for lamps, cameras in ((flight.lamps, flight.cameras), (flight.said_lamps, flight.said_cameras)):
+        beside = lamps - cameras
+        np.testing.assert_allclose(np.linalg.norm(beside, axis=1), np.hypot(200, 50), rtol=1e-9)
+        np.testing.assert_allclose(beside @ c.target, 0, atol=1e-3)
+        np.testing.assert_allclose(beside @ np.cross(-c.target, [0, 0, 1]) > 0, True)
+
+
 @pytest.mark.slow
 def test_pictures_of_mitsuba_are_read_by_the_command_alone(plant, tmp_path):
     """Rendered, written as JPEG with EXIF GPS, read back: axes within 4 of the stated sigma, as the truth has them."""
@@ -214,7 +227,7 @@ def test_pictures_of_mitsuba_are_read_by_the_command_alone(plant, tmp_path):
     camera = picture.Camera((2048, 1024), 7970.0)
     camera_file(tmp_path / "camera.toml", camera.resolution, camera.focal)
     c = clusters(files.read(plant))[0]
-    flight = fly(c.target, c.route, c.errors(), rng)
+    flight = fly(c.target, c.route, c.errors(), rng, c.lamps)
     truth = [stand([c.place(k)], c.design(k), c.target, c.errors(), rng)[0] for k in range(2)]
     (tmp_path / "photos").mkdir()
     shapes = picture.mirrors(truth, np.zeros(3))
