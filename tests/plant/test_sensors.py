@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.jobs.plant_detectors import tables_of
+from benchsim.jobs.detectors_result import tables_of
 from benchsim.plant import files
 from benchsim.plant.hiding import hidden
 
