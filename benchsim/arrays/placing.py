@@ -46,7 +46,8 @@ def places(line: Line, least: float, lowest: float) -> tuple[Places, tuple[Line,
     Parameters
     ----------
     line : Line
-        Stated: its length and pitch are kept.
+        Stated: its pitch is kept; its length becomes that of `PARTS` equal parts of whole detectors, of which there are
+        then up to two more or fewer.
     least : float
         Distance from the receiver's middle that it has to keep [mm].
     lowest : float

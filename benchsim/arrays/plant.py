@@ -185,7 +185,7 @@ class Line:
     @property
     def along(self) -> Array:
         """Of its detectors [mm]."""
-        count = int((self.high - self.low) / self.pitch + 1e-9) + 1
+        count = int((self.high - self.low) / self.pitch + 1e-6) + 1
         return np.asarray(self.low + self.pitch * np.arange(count), float)
 
     def places(self, along: Array) -> Array:

@@ -22,13 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from benchsim.arrays.crossings import THRESHOLD
+from benchsim.arrays.fitting import STEP
 from benchsim.arrays.plant import Assumptions, Beam, Plant
 from benchsim.arrays.signals import flicker_density, white_level
 
 Array = NDArray[np.float64]
-
-STEP = 2e-5
-"""Of numerical derivatives by angles [rad]: a hundredth of the beam's half-width."""
 
 _ALPHA = np.radians(np.linspace(8.0, 172.0, 83))
 """Half-angles of cones for which F is tabulated: prisms stand at 30 to 150° to the sun."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -88,8 +89,11 @@ class PlanFirst(typer.core.TyperGroup):
     """A group whose first command may be left out: ``benchsim detectors PLANT`` plans."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the first command before words that begin with none."""
+        """Put the first command before words that begin with none; one that is mistyped is named."""
         if args and args[0] not in (*self.commands, "--help", "-h"):
+            near = difflib.get_close_matches(args[0], self.commands, n=1)
+            if near and len(args) > 1 and not args[1].startswith("-") and not Path(args[0]).exists():
+                ctx.fail(f"no command or plant {args[0]!r}, '{near[0]}' may be meant")
             args = ["plan", *args]
         return super().parse_args(ctx, args)
 

@@ -193,14 +193,21 @@ def pattern(target: ArrayLike, half: tuple[float, float], pitch: float) -> tuple
     return target + np.concatenate(rows) @ plane, plane
 
 
-def fly(target: Array, route: tuple[Array, Array], errors: Errors, rng: np.random.Generator) -> Flight:
+def fly(
+    target: Array,
+    route: tuple[Array, Array],
+    errors: Errors,
+    rng: np.random.Generator,
+    lamp: Array | None = None,
+) -> Flight:
     """The drone along its route (from `pattern`): wind moves it, RTK measures where to; the camera's errors are the
-    lamp's, for both hang on one drone whose attitude is taken as known.
+    lamp's, for both hang on one drone whose attitude is taken as known. ``lamp`` is (3,) from the camera to it in the
+    field frame [mm], default `LAMP_OFFSET` along the pattern's axes.
     """
     points, plane = route
     cameras = points + WANDER * rng.standard_normal(points.shape)
     wrong = errors.rtk_absolute * rng.standard_normal(3) + errors.rtk_relative * rng.standard_normal(points.shape)
-    beside = np.array(LAMP_OFFSET) @ plane
+    beside = np.array(LAMP_OFFSET) @ plane if lamp is None else lamp
     return Flight(target, cameras, cameras + beside, cameras + wrong, cameras + beside + wrong)
 
 

@@ -14,7 +14,7 @@ here they are those of the map itself.) On a target that is not the image plane 
 incidence there, and points are carried to the image plane along the central ray.
 
 Not for mirrors of another focal length than their distance, where the map is not conformal, nor for slope errors that
-dominate at large incidence: they spread light less across the plane of incidence than in it (`benchsim.fluxes.carlo`).
+dominate at large incidence: they spread light less across the plane of incidence than in it (`benchsim.fluxes.traced`).
 
 Of many heliostats at once, on any points of a receiver: those of a curved one are carried to each heliostat's image
 plane along its central ray like those of a plane, and each point has its own obliquity.

@@ -25,9 +25,6 @@ Array = NDArray[np.float64]
 BEFORE = 0.05
 """Least cosine between where the arrays look and the way to a heliostat that they can see: 87°."""
 
-HIDING = 3000
-"""Heliostats up to which it is looked whether one stands before another: the time grows with the number's square."""
-
 UNSEEN = {
     "other": "aims at another receiver than the arrays' one",
     "behind": "stands behind the plane of the arrays",
@@ -69,8 +66,9 @@ class Watch:
         """The arrays in their frame, in which y runs to the right of who looks at them."""
         out = []
         for a in self.station.arrays:
-            low, high = (a.low, a.high) if a.upright else (-(a.low + (a.count - 1) * a.pitch), -a.low)
-            out.append(Line(a.name, a.upright, -a.offset if a.upright else a.offset, low, high, a.pitch))
+            along = np.sort(a.along if a.upright else -a.along)
+            offset = -a.offset if a.upright else a.offset
+            out.append(Line(a.name, a.upright, offset, float(along[0]), float(along[-1]), a.pitch))
         return tuple(out)
 
     def scene(self, sun: Array, lines: Sequence[Line] | None = None, some: Any = slice(None)) -> arrays.Plant:
@@ -86,11 +84,9 @@ class Watch:
         """Part (k,) of each heliostat's light that arrives, and who is hidden by another's mirror."""
         f = self.plant.field
         through = transmitted(f.distance[self.who], self.plant.site.attenuation)
-        if len(f) > HIDING:
-            return through, np.zeros(len(self.who), bool)
         n = normals(f, sun)
         behind = hidden(f.position, n, f.width, f.height, sun)
-        behind |= hidden(f.position, n, f.width, f.height, f.aim - f.position)
+        behind |= hidden(f.position, n, f.width, f.height, f.aim - f.position, f.distance)
         return np.where(behind[self.who], 0.0, through), behind[self.who]
 
     def misaligned(self, sun: Array, errors: Mapping[str, Array]) -> Array:
@@ -156,7 +152,11 @@ def unseen(plant: Plant, station: Station) -> list[str]:
 def estimates(
     scene: arrays.Plant, ids: Sequence[str], found: Sequence[Measurement], truth: Array | None = None
 ) -> list[dict[str, Any]]:
-    """What was measured of each heliostat, and how it is to be turned, as plain values in mrad; None: unknown."""
+    """What was measured of each heliostat, and how it is to be turned, as plain values in mrad; None: unknown.
+
+    ``raise`` lifts the normal, ``turn_azimuth`` lets its azimuth grow, which runs from north through east: clockwise
+    from above, eastward only of normals that look north.
+    """
     out = []
     turn = arrays.correction(list(found))
     for m, name, by, frame in zip(found, ids, turn, scene.frames, strict=True):
@@ -171,7 +171,9 @@ def estimates(
             if truth is not None:
                 row[f"true_{kind}_mrad"] = _mrad(truth[m.heliostat, k])
         row["raise_mrad"] = _mrad(-by[0]) if known[0] else None
-        row["turn_eastward_mrad"] = _mrad(-by[1] / np.cos(high)) if known[1] else None
+        row["sigma_raise_mrad"] = _mrad(sigma[0]) if known[0] else None
+        row["turn_azimuth_mrad"] = _mrad(-by[1] / np.cos(high)) if known[1] else None
+        row["sigma_turn_azimuth_mrad"] = _mrad(sigma[1] / np.cos(high)) if known[1] else None
         row["says"] = m.says
         out.append(row)
     return out

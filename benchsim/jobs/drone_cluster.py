@@ -86,7 +86,7 @@ class Cluster:
 
     @property
     def tracking(self) -> float:
-        """1 sigma by which they may look beside [rad]."""
+        """1 sigma by which they may look beside [rad]: rms of those stated of IA and IE, or `TRACKING` if none is."""
         s = self.plant.field.sigmas
         there = [float(np.sqrt(np.mean(s[k] ** 2))) for k in ("IA", "IE") if k in s]
         return math.sqrt(sum(x * x for x in there) / len(there)) if any(there) else TRACKING
@@ -177,8 +177,8 @@ class Cluster:
         f = self.plant.field
         places = np.array([self.place(k) for k in self.who])
         ways = self.target - places
-        n = ways / np.linalg.norm(ways, axis=1, keepdims=True)
-        return hidden(places, n, f.width[self.who], f.height[self.who], ways)
+        far = np.linalg.norm(ways, axis=1)
+        return hidden(places, ways / far[:, None], f.width[self.who], f.height[self.who], ways, far)
 
     def geographic(self, points: Array) -> Array:
         """(n, 3) latitude, longitude [deg], height [m] of points in the cluster's frame, near the target."""

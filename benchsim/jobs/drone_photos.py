@@ -4,36 +4,32 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from threadpoolctl import threadpool_limits
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.names import printable
 from benchsim.bench.writing import write_csv, write_text
-from benchsim.calibration import read_camera
 from benchsim.drones.estimate import FEWEST, estimate
-from benchsim.drones.finding import find_glints, find_mirror, to_mirror
 from benchsim.drones.flight import Sightings
-from benchsim.drones.heliostat import axes, design_map
+from benchsim.drones.heliostat import design_map
 from benchsim.jobs.drone_cluster import ENU, Cluster, clusters
+from benchsim.jobs.drone_places import places_of
+from benchsim.jobs.drone_sightings import lens_of, sightings_of
 from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.plant_drone import stated
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
-from benchsim.plant import files, tables
+from benchsim.plant import files
 from benchsim.plant.model import Plant
 from benchsim.reports import drone_pictures
 from benchsim.reports.pictures import save
-from benchsim.trace.counts import read_counts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,11 +46,6 @@ MOST = 5000
 BESIDE = 5e3
 """Beyond the planned pattern at which pictures contradict the plan [mm]: heliostats that look at the planned point do
 not shine there."""
-
-WINDOW = 60
-"""Pixels around where a mirror is expected: a gimbal errs by some 25."""
-
-GPS = 0x8825
 
 BROAD = 3.0
 """Times the expected width of the differences, above which they contradict the stated surface."""
@@ -100,12 +91,13 @@ class DroneReading(Shown):
         lines = [
             f"cluster {self.cluster.number}: {self.pictures} pictures, axes of {len(known)} of {len(self.rows)} "
             "heliostats",
-            "  looks beside where it was told to, by azimuth and elevation [mrad]; sigma_mean and sigma_sys",
+            "  looks beside where it was told to, by azimuth and elevation [mrad]; of the axis sigma_mean, sigma_sys",
         ]
         for r in self.rows:
             lines.append(
-                f"    {r['id']:<10} {r['azimuth_off_mrad']:+8.3f} {r['elevation_off_mrad']:+8.3f}   "
-                f"± {r['sigma_mean_mrad']:.2f} ± {r['sigma_sys_mrad']:.2f}   {r['glints']} glints"
+                f"    {r['id']:<10} {r['azimuth_off_mrad']:+8.3f} ± {r['sigma_azimuth_off_mrad']:.2f} "
+                f"{r['elevation_off_mrad']:+8.3f} ± {r['sigma_elevation_off_mrad']:.2f}   "
+                f"{r['sigma_mean_mrad']:.2f}, {r['sigma_sys_mrad']:.2f}   {r['glints']} glints"
                 if not r["says"]
                 else f"    {r['id']:<10} {r['says']}"
             )
@@ -119,35 +111,6 @@ class DroneReading(Shown):
         """The axes on the plan."""
         f = self.plant.field
         return [drone_pictures.axes_found({f.ids[k]: f.position[k] for k in self.cluster.who}, self.rows)]
-
-
-@dataclass(frozen=True)
-class Lens:
-    """What of a camera file is used: [px]; ``gamma`` a number or "srgb"."""
-
-    resolution: tuple[int, int]
-    focal: float
-    principal_point: tuple[float, float]
-    distortion: tuple[float, ...]
-    gamma: float | str
-    black: float
-
-    def project(self, eye: Array, turned: Array, points: Array) -> Array:
-        """(n, 2) pixels of points (n, 3) [mm]; ``turned`` rows: right, down, forward."""
-        matrix = np.array(
-            [[self.focal, 0, self.principal_point[0]], [0, self.focal, self.principal_point[1]], [0, 0, 1]]
-        )
-        seen = (points - eye) @ turned.T
-        return np.asarray(cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, np.array(self.distortion))[0][:, 0])
-
-    def light(self, counts: NDArray) -> Array:
-        """Of full scale, linear."""
-        full = 65535.0 if counts.dtype == np.uint16 else 255.0
-        grey = counts if counts.ndim == 2 else counts[..., :3] @ np.array([0.114, 0.587, 0.299])
-        x = np.clip((np.asarray(grey, float) - self.black) / (full - self.black), 0, 1)
-        if self.gamma == "srgb":
-            return np.asarray(np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4))
-        return np.asarray(x ** float(self.gamma))
 
 
 @threadpool_limits.wrap(limits=1)
@@ -199,14 +162,15 @@ def drone_read(
         raise BenchsimError(f"{folder}: holds {len(paths)} pictures; give those of a whole pattern")
     if len(paths) > MOST:
         raise BenchsimError(f"{folder}: holds more than {MOST} pictures; give those of one cluster")
-    lens, remarks = _lens(Path(camera))
+    lens, remarks = lens_of(Path(camera))
     said = [] if positions is None else [Path(positions)]
-    east = _places(paths, p, said[0] if said else None)
+    east = places_of(paths, p, said[0] if said else None)
     c = _cluster(p, east, cluster)
     eyes = (east - c.middle) @ ENU.T
     remarks += _beside(c, eyes)
-    with wanted_folder(output, "drone", [*p.files, Path(camera), *said, *paths], {"cluster": c.number}) as staging:
-        found, missed = _sightings(c, lens, paths, eyes, progress)
+    inputs = [*p.files, Path(camera), *said, *paths]
+    with wanted_folder(output, "drone read", inputs, {"cluster": c.number}) as staging:
+        found, missed = sightings_of(c, lens, paths, eyes, progress)
         rows = [_row(c, int(k), found[i], eyes, missed[i], len(paths)) for i, k in enumerate(c.who)]
         remarks += _contradictions(rows)
         result = DroneReading(
@@ -225,76 +189,6 @@ def drone_read(
             write_text(staging / "summary.txt", result.text() + "\n")
     progress("done", 1.0)
     return result
-
-
-def _lens(path: Path) -> tuple[Lens, list[str]]:
-    table, remarks = read_camera(path).table, []
-    gamma = table.get("gamma", 1.0)
-    if gamma == "unknown":
-        gamma = "srgb"
-        remarks.append(f"{path.name}: the tone curve is unknown; sRGB's is taken.")
-    width, height = table["resolution_px"]
-    middle = table.get("principal_point_px") or ((width - 1) / 2, (height - 1) / 2)
-    black = float(table.get("black_level") or 0.0)
-    bent = tuple(float(x) for x in table.get("distortion") or (0.0,) * 5)
-    return Lens((int(width), int(height)), float(table["focal_px"]), tuple(middle), bent, gamma, black), remarks
-
-
-def gps(path: Path) -> Array | None:
-    """Latitude, longitude [deg] and height [m] that EXIF states; None if it does not, or not in numbers."""
-    try:
-        with warnings.catch_warnings(action="ignore"), Image.open(path) as picture:
-            tags = dict(picture.getexif().get_ifd(GPS))
-        angles = []
-        for reference, value in ((1, 2), (3, 4)):
-            d, m, s = (float(x) for x in tags[value])
-            sign = -1.0 if str(tags[reference]).strip("\0 ").upper() in ("S", "W") else 1.0
-            angles.append(sign * (d + m / 60 + s / 3600))
-        below = tags.get(5) in (1, b"\x01", b"\x03", 3)
-        place = np.array([*angles, -float(tags[6]) if below else float(tags[6])])
-    # Pillow lets through whatever its parsers stumble on; tags may be missing, or no numbers.
-    except Exception:
-        return None
-    fits = np.isfinite(place).all() and abs(place[0]) <= 90 and abs(place[1]) <= 360 and abs(place[2]) < 1e4
-    return place if fits else None
-
-
-def _places(paths: Sequence[Path], plant: Plant, table: Path | None) -> Array:
-    """(n, 3) east, north, up [mm] of the camera in each picture."""
-    if table is None:
-        found = [gps(x) for x in paths]
-        lacking = [x.name for x, place in zip(paths, found, strict=True) if place is None]
-        if lacking:
-            raise BenchsimError(
-                f"{lacking[0]}: EXIF does not say where it was taken, as of {len(lacking)} of {len(paths)} pictures; "
-                "give --positions"
-            )
-        places = np.array([x for x in found if x is not None])
-        return tables.geographic(places, plant.site.place)
-    rows = read_positions(table, plant)
-    lost = next((x.name for x in paths if x.name not in rows), None)
-    if lost is not None:
-        raise BenchsimError(f"{table}: name: {lost} is not in it; add where it was taken")
-    return np.array([rows[x.name] for x in paths])
-
-
-def read_positions(path: Path, plant: Plant) -> dict[str, Array]:
-    """Places (3,) east, north, up [mm] by the pictures' names."""
-    table = tables.cells(path)
-    local = tables.LOCAL[0] in [c.strip() for c in table.rows[0][1]]
-    names = tables.LOCAL if local else ("latitude_deg", "longitude_deg", "height_m")
-    ranges = ((-1e5, 1e5),) * 3 if local else ((-90.0, 90.0), (-180.0, 360.0), (-500.0, 1e4))
-    columns = tables.columns_of(table, ["name", *names], lambda n: True)
-    out = {}
-    for line, row in table.rows[1:]:
-        values = [table.number(line, n, row[columns[n]], *r) for n, r in zip(names, ranges, strict=True)]
-        if any(math.isnan(v) for v in values):
-            raise table.fail(line, names[0], "is empty; write where the picture was taken")
-        place = np.array(values)
-        out[row[columns["name"]].strip()] = (
-            1e3 * place if local else tables.geographic(place[None], plant.site.place)[0]
-        )
-    return out
 
 
 def _cluster(plant: Plant, east: Array, number: int | None) -> Cluster:
@@ -326,63 +220,13 @@ def _beside(c: Cluster, eyes: Array) -> list[str]:
     return out
 
 
-def _sightings(
-    c: Cluster, lens: Lens, paths: Sequence[Path], eyes: Array, progress: Progress
-) -> tuple[list[Sightings], list[int]]:
-    """Glints of each heliostat in all pictures, and in how many its mirror was not found."""
-    mounts = [c.mount(int(k)) for k in c.who]
-    designs = [c.design(int(k)) for k in c.who]
-    corners = [
-        origin + d.outline @ turned[:, :2].T for d, (turned, origin) in zip(designs, map(axes, mounts), strict=True)
-    ]
-    frames: list[list[int]] = [[] for _ in c.who]
-    points: list[list[Array]] = [[] for _ in c.who]
-    missed = [0] * len(c.who)
-    for f, (path, eye) in enumerate(zip(paths, eyes, strict=True)):
-        progress("pictures", 0.95 * f / len(paths))
-        counts, _ = read_counts(path, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        if counts.shape[1::-1] != lens.resolution:
-            raise BenchsimError(
-                f"{path.name}: has {counts.shape[1]} x {counts.shape[0]} pixels, the camera file "
-                f"{lens.resolution[0]} x {lens.resolution[1]}; give the camera's own calibration"
-            )
-        image, turned = lens.light(counts), _toward(eye)
-        for i, (outline, design) in enumerate(zip(corners, designs, strict=True)):
-            near = lens.project(eye, turned, outline)
-            low = np.maximum(np.floor(near.min(axis=0)).astype(int) - WINDOW, 0)
-            high = np.minimum(np.ceil(near.max(axis=0)).astype(int) + WINDOW, lens.resolution)
-            if (high - low < 20).any():
-                missed[i] += 1
-                continue
-            part = image[low[1] : high[1], low[0] : high[0]]
-            try:
-                there = find_mirror(part, near - low)
-            except (BenchsimError, cv2.error, np.linalg.LinAlgError):
-                missed[i] += 1
-                continue
-            spots = to_mirror(find_glints(part, there), there, design)
-            frames[i] += [f] * len(spots)
-            points[i] += list(spots)
-    out = [
-        Sightings(np.array(f, np.intp), np.array(x, float).reshape(-1, 2)) for f, x in zip(frames, points, strict=True)
-    ]
-    return out, missed
-
-
-def _toward(eye: Array) -> Array:
-    """Rows right, down, forward of a camera without roll that looks to the cluster's middle."""
-    forward = -eye / np.linalg.norm(eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= max(float(np.linalg.norm(right)), 1e-9)
-    return np.stack([right, np.cross(forward, right), forward])
-
-
 def _row(c: Cluster, k: int, s: Sightings, eyes: Array, missed: int, pictures: int) -> dict[str, Any]:
     width, _, system = c.sigma(k)
     row: dict[str, Any] = {"id": c.plant.field.ids[k], "glints": len(s.frame), "not_found_in": missed}
     numbers = (
-        "outliers", "azimuth_off_mrad", "elevation_off_mrad", "axis_east", "axis_north", "axis_up", "sigma_ad_mrad",
-        "sigma_ad_expected_mrad", "sigma_mean_mrad", "sigma_sys_mrad", "sigma_mrad", "p_normal",
+        "outliers", "azimuth_off_mrad", "sigma_azimuth_off_mrad", "elevation_off_mrad", "sigma_elevation_off_mrad",
+        "axis_east", "axis_north", "axis_up", "sigma_ad_mrad", "sigma_ad_expected_mrad", "sigma_mean_mrad",
+        "sigma_sys_mrad", "sigma_mrad", "p_normal",
     )  # fmt: skip
     row |= dict.fromkeys(numbers)
     if missed > pictures / 2:
@@ -394,10 +238,11 @@ def _row(c: Cluster, k: int, s: Sightings, eyes: Array, missed: int, pictures: i
         return row | {"says": printable(str(error))}
     axis = e.axis @ ENU
     mean = float(stated(e).max())
+    sigma = math.hypot(mean, system)
     values = (
-        int((~e.kept).sum()), 1e3 * (e.mount.azimuth - mount.azimuth), 1e3 * (e.mount.elevation - mount.elevation),
-        *axis.tolist(), 1e3 * float(e.sigma_ad.max()), 1e3 * width, 1e3 * mean, 1e3 * system,
-        1e3 * math.hypot(mean, system), float(e.p_normal.min()),
+        int((~e.kept).sum()), 1e3 * (e.mount.azimuth - mount.azimuth), 1e3 * sigma / math.cos(e.mount.elevation),
+        1e3 * (e.mount.elevation - mount.elevation), 1e3 * sigma, *axis.tolist(), 1e3 * float(e.sigma_ad.max()),
+        1e3 * width, 1e3 * mean, 1e3 * system, 1e3 * sigma, float(e.p_normal.min()),
     )  # fmt: skip
     return row | dict(zip(numbers, values, strict=True)) | {"says": ""}
 
@@ -425,11 +270,11 @@ def _contradictions(rows: Sequence[dict[str, Any]]) -> list[str]:
         )
     if len(known) > 2:
         off = np.array([[r["azimuth_off_mrad"], r["elevation_off_mrad"]] for r in known])
-        sigma = np.array([r["sigma_mrad"] for r in known])
+        sigma = np.array([[r["sigma_azimuth_off_mrad"], r["sigma_elevation_off_mrad"]] for r in known])
         mean = off.mean(axis=0)
-        if (np.abs(mean) > 4 * np.hypot(sigma.mean(), off.std(axis=0)) / math.sqrt(len(known))).any():
+        if (np.abs(mean) > 4 * np.hypot(sigma.mean(axis=0), off.std(axis=0)) / math.sqrt(len(known))).any():
             out.append(
-                f"All heliostats look {mean[0]:+.2f} and {mean[1]:+.2f} mrad beside on average: the drone's "
-                "positions or the site may be shifted."
+                f"All heliostats look {mean[0]:+.2f} (azimuth) and {mean[1]:+.2f} mrad beside on average: the "
+                "drone's positions or the site may be shifted."
             )
     return out

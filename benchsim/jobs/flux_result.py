@@ -278,10 +278,10 @@ class FluxResult(Shown):
         lines = []
         if "monte_carlo" in plain:
             m = plain["monte_carlo"]
-            said = "no receiver is lit" if m["accuracy"] is None else f"{100 * m['accuracy']:.2g} %"
+            error = "no receiver is lit" if m["accuracy"] is None else f"{100 * m['accuracy']:.2g} %"
             if len(self.times) > 1 and m["accuracy"] is not None:
-                said += f" of all times together, {100 * m['accuracy_at_worst_time']:.2g} % at the worst"
-            lines.append(f"  Monte Carlo: {m['rays'] / 1e6:.3g} million rays, {said}")
+                error += f" of all times together, {100 * m['accuracy_at_worst_time']:.2g} % at the worst"
+            lines.append(f"  Monte Carlo: {m['rays'] / 1e6:.3g} million rays, {error}")
         if self.partings:
             when = f"{self.times[self.brightest]:%Y-%m-%d %H:%M}, " if self.step is not None else ""
             lines.append(f"  where the engines part, {when}and by what of the product's:")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
@@ -80,6 +81,10 @@ class DroneResult(Shown):
 
     def rows(self) -> list[dict[str, Any]]:
         """For each heliostat: cluster, where it has to look, pictures that show it, and what is to be expected."""
+        return self._rows
+
+    @cached_property
+    def _rows(self) -> list[dict[str, Any]]:
         out: list[dict[str, Any]] = []
         f = self.plant.field
         for c in self.clusters:
@@ -281,11 +286,7 @@ def _flown(parts: list[Cluster], seed: int, told: Callable[[float], None]) -> di
     count = sum(len(c.who) for c in parts)
     for c in parts:
         errors = c.errors()
-        flight = fly(c.target, c.route, errors, rng)
-        lamps = c.lamps - (flight.lamps[0] - flight.cameras[0])
-        flight = type(flight)(
-            flight.target, flight.cameras, flight.lamps + lamps, flight.said_cameras, flight.said_lamps + lamps
-        )
+        flight = fly(c.target, c.route, errors, rng, c.lamps)
         for k in c.who:
             told(len(out) / count)
             design = c.design(int(k))

@@ -13,6 +13,7 @@ from benchsim.fluxes.heliostat import unit
 from benchsim.plant import schema
 from benchsim.plant.model import Field, Receiver
 from benchsim.plant.station import DetectorArray, DroneFlight, Prisms, Station
+from benchsim.plant.sunshape import DISC
 
 CLEAR = 2e3
 """From a receiver's edge to arrays that a file does not state [mm]: out of its heat, as near the light as can be."""
@@ -28,8 +29,11 @@ flanks."""
 FEWEST, MOST = 40, 200
 """Detectors of such an array: fewer, or more, cost light, or wires."""
 
-SUN = 9.3e-3
-"""Width of the sun's disc [rad]."""
+ROUND = 0.1
+"""To which the pitch of such arrays is rounded [mm], so that a file states them in few digits."""
+
+LAST = 1e-6
+"""Part of a pitch by which the last detector may stand beyond a stated end: it is decimals that are stated."""
 
 NOT_STATED = (
     "No [[detector]] is stated: two arrays are taken, {pitch:.3g} m between detectors, {clear:g} m beyond the edges "
@@ -90,14 +94,13 @@ def station(tables: Sequence[schema.DetectorTable], receivers: Sequence[Receiver
                     f"{file}: detector[{k}].{key}: all arrays stand on one plane beside one receiver; make it that of "
                     "detector[1]"
                 )
-        if t.to_m < t.from_m + t.pitch_m:
+        count = int((t.to_m - t.from_m) / t.pitch_m + LAST) + 1
+        if count < 2:
             raise BenchsimError(
                 f"{file}: detector[{k}].to_m: {t.to_m:g} m is not beyond from_m = {t.from_m:g} m by a pitch; mend it"
             )
         out.append(
-            DetectorArray(
-                t.name, t.along == "vertical", 1e3 * t.offset_m, 1e3 * t.from_m, 1e3 * t.to_m, 1e3 * t.pitch_m
-            )
+            DetectorArray(t.name, t.along == "vertical", 1e3 * t.offset_m, 1e3 * t.from_m, count, 1e3 * t.pitch_m)
         )
     if len({a.name for a in out}) < len(out):
         raise BenchsimError(f"{file}: detector: two have one name; name each of them differently")
@@ -127,10 +130,11 @@ def _suited(receivers: Sequence[Receiver], field: Field) -> Station:
         azimuth = math.atan2(e, n)
     offsets = r.height / 2 + CLEAR, r.width / 2 + CLEAR
     half = min(max(2 * max(offsets) + REACH * float(far.max()), 1e3), 250e3)
-    pitch = float(np.clip(SUN * float(far.min()) / ACROSS_SUN, 2 * half / MOST, 2 * half / FEWEST))
-    half = pitch * math.floor(half / pitch)
+    pitch = float(np.clip(2 * DISC * float(far.min()) / ACROSS_SUN, 2 * half / MOST, 2 * half / FEWEST))
+    pitch = ROUND * round(pitch / ROUND)
+    steps = math.floor(half / pitch)
     arrays = tuple(
-        DetectorArray(name, upright, offset, -half, half, pitch)
+        DetectorArray(name, upright, offset, -steps * pitch, 2 * steps + 1, pitch)
         for name, upright, offset in zip(("above", "left"), (False, True), offsets, strict=True)
     )
     return Station(k, azimuth, arrays, (NOT_STATED.format(pitch=pitch / 1e3, clear=CLEAR / 1e3, name=r.name),))

@@ -21,23 +21,25 @@ class DetectorArray:
     upright : bool
     offset : float
         Of a horizontal row up, of an upright one to the left of who looks at the receiver, from its centre [mm].
-    low, high : float
-        Where it begins and ends: to the left, or up [mm].
+    low : float
+        Where its first detector stands: to the left, or up [mm].
+    count : int
+        Of its detectors.
     pitch : float
-        Between detectors [mm].
+        Between them [mm].
     """
 
     name: str
     upright: bool
     offset: float
     low: float
-    high: float
+    count: int
     pitch: float
 
     @property
-    def count(self) -> int:
-        """Of its detectors."""
-        return int((self.high - self.low) / self.pitch + 1e-9) + 1
+    def along(self) -> Array:
+        """(count,): where its detectors stand, to the left, or up [mm]."""
+        return np.asarray(self.low + self.pitch * np.arange(self.count), float)
 
 
 @dataclass(frozen=True)

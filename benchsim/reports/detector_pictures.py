@@ -29,6 +29,7 @@ def plan(
     distance: Array,
     sigma: Array,
     zone: str,
+    limit: float,
 ) -> Figure:
     """Plan of a field by how often each heliostat is seen, the arrays beside the receiver, hours, sigma by distance.
 
@@ -47,6 +48,8 @@ def plan(
     sigma : (T, k, 2)
         [rad]; nan where not seen.
     zone : str
+    limit : float
+        Sigma of either angle up to which a heliostat counts as seen [mrad].
     """
     figure = Figure(figsize=(12.6, 9.6), layout="constrained")
     (field, front), (hours, errors) = figure.subplots(2, 2, gridspec_kw={"height_ratios": [1.5, 1]})
@@ -61,7 +64,7 @@ def plan(
         vmax=100,
         rasterized=True,
     )
-    figure.colorbar(shown, ax=field, label="of the times, both angles known to 0.1 mrad (%)")
+    figure.colorbar(shown, ax=field, label=f"of the times, both angles known to {limit:g} mrad (%)")
     centre = np.array(receiver.centre) / 1e3
     field.plot(*centre[:2], "k^", markersize=7)
     looks = station.frame[0][:2]
@@ -86,7 +89,7 @@ def plan(
         x = distance[there] / 1e3
         errors.vlines(x, low, high, color=colour, linewidth=0.6, alpha=0.4)
         errors.plot(x, middle, ".", markersize=4, color=colour, label=name)
-    errors.axhline(0.1, color="#e6a100", linewidth=1.2)
+    errors.axhline(limit, color="#e6a100", linewidth=1.2)
     errors.set(xlabel="distance from the receiver (m)", ylabel="1 σ by one record (mrad)", yscale="log")
     errors.set_title("Median and range over the times at which it is seen", fontsize=10, loc="left")
     errors.legend(frameon=False, fontsize=9)
@@ -101,7 +104,7 @@ def _front(axes: Any, station: Station, receiver: Receiver) -> None:
     axes.add_patch(Rectangle((-w / 2, -h / 2), w, h, facecolor="#fdf3d0", edgecolor="#e6a100"))
     axes.text(0, 0, receiver.name, ha="center", va="center", fontsize=8, color=GREY)
     for k, a in enumerate(station.arrays):
-        along = (a.low + a.pitch * np.arange(a.count)) / 1e3
+        along = a.along / 1e3
         off = np.full_like(along, a.offset / 1e3)
         x, z = (off, along) if a.upright else (along, off)
         axes.plot(x, z, "|" if not a.upright else "_", color=(RED, BLUE, GREY)[k % 3], markersize=5)
@@ -113,8 +116,8 @@ def _front(axes: Any, station: Station, receiver: Receiver) -> None:
     axes.legend(frameon=False, fontsize=8, loc="lower right")
 
 
-def loop(before: Array, after: Array, outcomes: Sequence[str]) -> Figure:
-    """Misalignments (k, 2) before and after a correction [rad], by what the arrays said."""
+def loop(before: Array, after: Array, outcomes: Sequence[str], limit: float) -> Figure:
+    """Misalignments (k, 2) before and after a correction [rad], by what the arrays said; a line at a limit [mrad]."""
     figure = Figure(figsize=(10.4, 4.6), layout="constrained")
     figure.suptitle("True misalignments, before and after one correction", fontsize=11, x=0.01, ha="left")
     kinds = list(dict.fromkeys(outcomes))
@@ -126,7 +129,7 @@ def loop(before: Array, after: Array, outcomes: Sequence[str]) -> Figure:
             axes.loglog(x, y, "o", markersize=4, alpha=0.7, color=f"C{k}", label=f"{kind} ({len(on)})")
         ends = np.array(axes.get_xlim())
         axes.plot(ends, ends, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)), label="not corrected")
-        axes.axhline(0.1, color="#e6a100", linewidth=1.2)
+        axes.axhline(limit, color="#e6a100", linewidth=1.2)
         axes.set(xlabel=f"{name}, before (mrad)")
         axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8)

@@ -74,7 +74,10 @@ def axes_found(place: Mapping[str, Array], rows: Sequence[Mapping[str, Any]]) ->
     axes = figure.add_subplot()
     at = np.array([place[r["id"]][:2] for r in rows]) / 1e3
     known = np.array([r["azimuth_off_mrad"] is not None for r in rows])
-    size = np.array([np.hypot(r["azimuth_off_mrad"] or 0.0, r["elevation_off_mrad"] or 0.0) for r in rows])
+    across = [
+        np.sqrt(1 - r["axis_up"] ** 2) * r["azimuth_off_mrad"] if k else 0.0 for r, k in zip(rows, known, strict=True)
+    ]
+    size = np.hypot(across, [r["elevation_off_mrad"] or 0.0 for r in rows])
     if known.any():
         shown = axes.scatter(at[known, 0], at[known, 1], c=size[known], s=60, cmap="magma_r", vmin=0)
         figure.colorbar(shown, ax=axes, label="looks beside by (mrad)")

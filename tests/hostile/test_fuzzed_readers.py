@@ -29,8 +29,8 @@ from benchsim.calibration import is_camera, read_camera
 from benchsim.instruments.mount import paint, pointing, stated
 from benchsim.intake.photo import read_photo
 from benchsim.jobs import reporting
-from benchsim.jobs.detector_record import read_record
-from benchsim.jobs.drone_photos import gps, read_positions
+from benchsim.jobs.detector_files import read_record
+from benchsim.jobs.drone_places import gps, read_positions
 from benchsim.jobs.field_diagnosis import heliostats
 from benchsim.plant import files as plants
 from benchsim.trial import ledger

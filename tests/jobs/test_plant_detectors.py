@@ -129,13 +129,30 @@ def test_a_record_that_cannot_be_used_is_told_in_a_sentence(plant, tmp_path, hea
     assert done.exit_code == 1 and says in done.output and not (tmp_path / "o").exists()
 
 
-def test_what_cannot_be_planned_is_told_in_a_sentence(plant, tmp_path):
-    for words, says in (
-        (["--record", "2026-03-21T01:00"], "--record: the sun is below the horizon"),
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--at", NOON, "--record", "2026-03-21T01:00"], "--record: the sun is below the horizon"),
         (["--at", "2026-03-21T01:00"], "the sun stands"),
-        (["--record", "soon"], "--record: 'soon' is no time"),
-    ):
-        done = run("detectors", "plan", plant, "--day", "2026-03-21", *words, "-o", tmp_path / "o")
-        if "--at" in words:
-            done = run("detectors", "plan", plant, *words, "-o", tmp_path / "o")
-        assert done.exit_code == 1 and says in done.output
+        (["--day", "2026-03-21", "--record", "soon"], "--record: 'soon' is no time"),
+    ],
+)
+def test_what_cannot_be_planned_is_told_in_a_sentence(plant, tmp_path, words, says):
+    done = run("detectors", "plan", plant, *words, "-o", tmp_path / "o")
+    assert done.exit_code == 1 and says in done.output
+
+
+def test_a_reading_does_not_replace_a_plan(plant, tmp_path):
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "benchsim.json").write_text('{"command": "detectors"}')
+    (tmp_path / "r.csv").write_text("time_s,detector_1\n0,1\n")
+    done = run("detectors", "read", tmp_path / "r.csv", plant, "--at", NOON, "-o", tmp_path / "o")
+    assert done.exit_code == 1 and "not written by 'benchsim detectors read'" in done.output
+
+
+@pytest.mark.parametrize(("word", "command"), [("raed", "read"), ("plann", "plan")])
+def test_a_command_that_is_mistyped_is_named(plant, tmp_path, word, command):
+    (tmp_path / "r.csv").write_text("time_s,detector_1\n")
+    for group in ("detectors", "drone"):
+        done = run(group, word, tmp_path / "r.csv", plant)
+        assert done.exit_code == 2 and f"'{command}' may be meant" in done.output, done.output
