@@ -33,6 +33,9 @@ Array = NDArray[np.float64]
 
 FORMAT = "benchsim-detector-record/1"
 
+CLIPPED = 0.01
+"""Part of a record at its very largest value, from which on a detector is clipped: noise alone holds it once."""
+
 TOLD = 8
 """Heliostats of a summary; the files have all."""
 
@@ -79,6 +82,7 @@ class RecordResult(Shown):
         said = ", ".join(f"{k} {v}" for k, v in Counter(r["outcome"] for r in self.rows).most_common())
         lines = [f"record of {self.duration:.3g} s at {self.time:%Y-%m-%d %H:%M %Z}: {said}"]
         known = [r for r in self.rows if r["raise_mrad"] is not None or r["turn_azimuth_mrad"] is not None]
+        known = [r for r in known if self.suits and r["outcome"] != "contradictory"]
         known.sort(key=lambda r: -max(abs(r["raise_mrad"] or 0), abs(r["turn_azimuth_mrad"] or 0)))
         if known:
             lines.append("  turn normals, largest first (all in measured.csv): raise, turn clockwise from above [mrad]")
@@ -90,9 +94,18 @@ class RecordResult(Shown):
             lines.append(f"    {r['id']:<12} {'   '.join(by)}   {r['outcome']}")
         return "\n".join([*lines, *self.remarks])
 
+    @property
+    def suits(self) -> bool:
+        """Whether the record is of this plan: something is measured, and few contradict the model."""
+        counts = Counter(r["outcome"] for r in self.rows)
+        return counts["measured"] > 0 and not _many(counts["contradictory"], len(self.rows))
+
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        return self.text() + written(self.folder) + "\nnext: turn them, record again, read again"
+        more = "turn them, record again, read again"
+        if not self.suits:
+            more = "turn nothing: the record does not suit the plan; mend that and read again"
+        return f"{self.text()}{written(self.folder)}\nnext: {more}"
 
     def figures(self) -> list[Figure]:
         """Misalignments on the plan."""
@@ -195,9 +208,15 @@ def _suited(
         raise BenchsimError(f"{path}: all values are the same; record the detectors' currents")
     if still.any():
         kept = ~still
-        names = ", ".join(f"detector_{k + 1}" for k in there[still][:5])
+        names = ", ".join(f"detector_{k + 1}" for k in there[still][:5]) + (", …" if still.sum() > 5 else "")
         remarks.append(f"{still.sum()} detectors never change and are left out: {names}.")
         samples, there = samples[kept], there[kept]
+    held = (samples == samples.max(axis=1, keepdims=True)).mean(axis=1) > CLIPPED
+    if held.any():
+        remarks.append(
+            f"{held.sum()} detectors hold their largest value for more than {100 * CLIPPED:g} % of the record: they "
+            "are clipped; record with less gain."
+        )
     lost = len(scene.detectors) - len(there) - int(still.sum())
     if lost:
         remarks.append(f"{lost} of {len(scene.detectors)} detectors are not in the record.")
@@ -205,7 +224,10 @@ def _suited(
     if min(np.bincount(member, minlength=len(scene.arrays))) < 3:
         raise BenchsimError(f"{path}: fewer than 3 detectors of an array are usable; record more of them")
     if abs(rate / scene.sample_rate - 1) > 1e-6:
-        remarks.append(f"The record has {rate:g} samples a second, the plan {scene.sample_rate:g}.")
+        remarks.append(
+            f"The record has {rate:g} samples a second, the plan {scene.sample_rate:g}: if its header is wrong, no "
+            "label stands at its rate."
+        )
     if samples.shape[1] < 0.98 * scene.samples:
         remarks.append(
             f"The record lasts {samples.shape[1] / rate:.3g} s, the plan {scene.duration:.3g} s: labels stand nearer "
@@ -218,6 +240,11 @@ def _suited(
     return new, samples, remarks
 
 
+def _many(contradictory: int, of: int) -> bool:
+    """More than one and than one in twenty: a mirror or two may be loose, more say that the record is another's."""
+    return contradictory > max(1, 0.05 * of)
+
+
 def _contradictions(rows: list[dict[str, Any]]) -> list[str]:
     """Sentences on what the whole record says against the plan."""
     out, n = [], len(rows)
@@ -227,7 +254,7 @@ def _contradictions(rows: list[dict[str, Any]]) -> list[str]:
             "No label is in the record: the labels' rates, the channels' order or the time are not as said, or no "
             "prism turned."
         )
-    if counts["contradictory"] > max(1, 0.05 * n):
+    if _many(counts["contradictory"], n):
         out.append(
             f"{counts['contradictory']} of {n} heliostats contradict the model: where detectors or heliostats stand, "
             "the channels' order, or the time is not as said."

@@ -109,6 +109,12 @@ def test_a_table_of_some_detectors_is_read_too(plant, planned, tmp_path):
     assert "never change" in result.summary() and "are not in the record" in result.summary()
     late = bs.detectors_read(tmp_path / "r.csv", plant, at="2026-03-21T14:30")
     assert {r["outcome"] for r in late.rows} != {"measured"} and late.remarks
+    # Nobody should turn mirrors by what contradicts.
+    assert "turn nothing" in late.summary() and "turn normals" not in late.summary()
+    assert "turn normals" in result.summary() and "clipped" not in result.summary()
+    flat = np.minimum(table, np.r_[np.inf, np.quantile(table[:, 1:], 0.9, axis=0)])
+    np.savetxt(tmp_path / "f.csv", flat, delimiter=",", header=head, comments="", fmt="%.7g")
+    assert "clipped" in bs.detectors_read(tmp_path / "f.csv", plant, at=NOON).summary()
     assert result._repr_html_().count("data:image/png;base64,") == 1
 
 
