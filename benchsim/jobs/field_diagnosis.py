@@ -28,8 +28,9 @@ from benchsim.bench.paths import inside
 from benchsim.bench.reading import TABLE_BYTES, file_hash, load_json, read_file
 from benchsim.bench.writing import write_csv, write_text
 from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, wrong_days
+from benchsim.instruments.mount.field_likelihood import Witness
 from benchsim.instruments.mount.records import UNITS, Session
-from benchsim.instruments.mount.shared_causes import Joint, Shared, Witness
+from benchsim.instruments.mount.shared_causes import Joint, Shared
 from benchsim.jobs import mount_diagnosis
 from benchsim.jobs.cluster import Scheduler, cluster
 from benchsim.jobs.mount_diagnosis import MountDiagnosis

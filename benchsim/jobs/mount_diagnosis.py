@@ -24,7 +24,7 @@ from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session, added
 from benchsim.instruments.mount.shared_causes import Shared
 from benchsim.instruments.mount.small_terms import SmallTerms
-from benchsim.jobs import amended_mounts
+from benchsim.jobs import amended_mounts, mount_page
 from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
@@ -32,7 +32,6 @@ from benchsim.jobs.shown import Diagnosed
 from benchsim.reports import diagnosis_pictures as pictures
 from benchsim.reports import mount_pictures
 from benchsim.reports.diagnosis_text import About, summary
-from benchsim.reports.page import FORMAT
 from benchsim.reports.page_words import PRIOR
 from benchsim.reports.vocabulary import mount as vocabulary
 
@@ -274,7 +273,7 @@ def diagnose(
         write_text(staging / "diagnosis.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
         write_text(staging / "summary.txt", result.text() + "\n")
         stated.write(session, result.found, result.fields, staging / "amended.toml", folder, result.learnt)
-        write_text(staging / "page.json", json.dumps(_page(result), allow_nan=False) + "\n")
+        write_text(staging / "page.json", json.dumps(mount_page.page(result), allow_nan=False) + "\n")
     if draw:
         progress("drawing", 0.9)
         b, title = result.built, session.title
@@ -370,51 +369,3 @@ def lawful(session: Session, built: Built, d: Diagnosis) -> dict[str, Function]:
         new = functions.of_law(d.law, form, built.session.records)
         out[form.name] = functions.summed(out[form.name], new) if form.name in out else new
     return out
-
-
-def _page(result: MountDiagnosis) -> dict[str, Any]:
-    """``page.json``: residuals across and up, by the number of the record."""
-    d, problem = result.diagnosis, result.built.problem
-    r, unit = d.residuals, result.session.mount.unit
-
-    def plain(values: Any) -> list[float | None]:
-        return [float(v) if np.isfinite(v) else None for v in values]
-
-    rows = []
-    for kind in ("across", "up"):
-        mine = problem.kind == kind
-        rows.append(
-            {
-                "exposure": f"{kind} ({unit})",
-                "setting": "",
-                "photograph": None,
-                "size_px": [1, 1],
-                "same": d.verdict == "nothing-missing",
-                "measured_px": [],
-                "before_px": [],
-                "after_px": [],
-                "s_mm": [float(k) for k in range(1, int(mine.sum()) + 1)],
-                "residual_mm": {
-                    "before": plain(r.before[mine]),
-                    "after": plain(r.after[mine]),
-                    "held_out_before": plain(r.held_out_before[mine]),
-                    "held_out_after": plain(r.held_out_after[mine]),
-                },
-                "sigma_mm": plain(r.sigma[mine]),
-                "sigma_alone_mm": plain(r.sigma[mine]),
-            }
-        )
-    found = d.verdict != "nothing-missing"
-    return {
-        "format": FORMAT,
-        "title": result.session.title,
-        "instrument": "mount",
-        "unit": unit,
-        "settings": len(problem.names),
-        "states": {
-            "before": "the mount as stated",
-            "after": "with what was found" if found else "the mount as stated",
-        },
-        "catalogue": [{"name": e.name, "element": e.element, "says": e.says} for e in problem.catalogue],
-        "exposures": rows,
-    }

@@ -7,8 +7,8 @@ both. With the nuisances, and the amplitudes of a set i of its own effects, inte
     ln Z_i(s) = z_i + b_iᵀ s − ½ sᵀ G_i s ,
 
 for every set of up to three effects, their prior of presence included. A heliostat whose days went wrong is a witness
-of nothing: with the prior probability `OWN` what it shows is its own, explained as well as the best cause would explain
-it if it were this heliostat's alone, O. The field's likelihood is the product over heliostats
+of nothing: with the prior probability `OWN` (`field_likelihood`) what it shows is its own, explained as well as the
+best cause would explain it if it were this heliostat's alone, O. The field's likelihood is the product over heliostats
 
     L(s) = Π [ (1 − OWN) Σ_i Z_i(s) + OWN · O ] ,
 
@@ -26,9 +26,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, combinations, pairwise
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.special import logsumexp, softmax
-from scipy.stats import multivariate_t, norm
+from scipy.special import logsumexp
 
 from benchsim.diagnosis import forward, linear
 from benchsim.diagnosis.evidence import amplitudes, log_prior, shapes
@@ -36,20 +34,11 @@ from benchsim.diagnosis.levels import LIKELY, MISSING
 from benchsim.diagnosis.problem import Parameter, Problem
 from benchsim.instruments.mount import effects
 from benchsim.instruments.mount import problem as mount_problem
+from benchsim.instruments.mount.field_likelihood import Likelihood, Witness
 from benchsim.instruments.mount.records import Array, Mount, Records, Session, added
-
-OWN = 0.05
-"""Prior probability that a heliostat says nothing of the field: 3 in ln Z is the most that any one can say."""
-
-HEARD = 0.1
-"""Gain in ln Z from which on a heliostat bears a cause out."""
 
 TOGETHER, NEAR, MOST = 3, 20.0, 32
 """Own effects in a heliostat's set; ln Z behind its best, with whatever causes, up to which sets are kept; how many."""
-
-DRAWS, ROUNDS, TAIL = 512, 3, 5.0
-"""Points of the importance sampling, times that they are drawn anew about where the last ones found most, and degrees
-of freedom of the multivariate t that they are drawn from."""
 
 FEWEST = 3
 """Heliostats below which a field says nothing of what they share."""
@@ -79,29 +68,6 @@ class Cause:
     name: str
     says: str
     terms: tuple[tuple[str, str, str, float], ...]
-
-
-@dataclass(frozen=True)
-class Witness:
-    """What one heliostat says of the shared causes.
-
-    Attributes
-    ----------
-    name : str
-    sets : tuple of tuple of str
-        Of its own effects.
-    log_z, projection, gram : (m,), (m, k), (m, k, k)
-        z, b and G of the module for each set, by the causes' parameters in prior sigmas, in the order of ``causes``'.
-    own : float
-        O of the module.
-    """
-
-    name: str
-    sets: tuple[tuple[str, ...], ...]
-    log_z: Array
-    projection: Array
-    gram: Array
-    own: float
 
 
 @dataclass(frozen=True)
@@ -266,7 +232,7 @@ def joint(witnesses: Sequence[Witness], many: Sequence[Cause], own: Sequence[Par
     """
     if len(witnesses) < FEWEST:
         return Joint((), ())
-    field, places, names = _Field.of(witnesses), _places(many), [c.name for c in many]
+    field, places, names = Likelihood.of(witnesses), _places(many), [c.name for c in many]
     known: dict[tuple[int, ...], tuple[float, Array, Array]] = {}
 
     def weigh(chosen: tuple[int, ...]) -> float:
@@ -307,101 +273,6 @@ def joint(witnesses: Sequence[Witness], many: Sequence[Cause], own: Sequence[Par
         shared.append(Shared(many[c], chance[c], values, sizes, units, bears[c]))
     rivals = sorted(((tuple(names[c] for c in s), z[best] - v) for s, v in z.items()), key=lambda x: x[1])
     return Joint(tuple(shared), tuple(r for r in rivals[1:] if r[1] < MISSING))
-
-
-@dataclass(frozen=True)
-class _Field:
-    """All witnesses' sets in one array each, (H, m, …), those that are none at −inf."""
-
-    log_z: Array
-    projection: Array
-    gram: Array
-    own: Array
-
-    @staticmethod
-    def of(witnesses: Sequence[Witness]) -> _Field:
-        most = max(len(w.log_z) for w in witnesses)
-
-        def together(many: Sequence[Array], nothing: float) -> Array:
-            return np.stack(
-                [np.pad(x, [(0, most - len(x)), *[(0, 0)] * (x.ndim - 1)], constant_values=nothing) for x in many]
-            )
-
-        return _Field(
-            together([w.log_z for w in witnesses], -np.inf),
-            together([w.projection for w in witnesses], 0.0),
-            together([w.gram for w in witnesses], 0.0),
-            np.array([w.own for w in witnesses]),
-        )
-
-    def sets(self, s: Array) -> Array:
-        """ln Z_i(s) of every heliostat's sets, (H, m)."""
-        return np.asarray(self.log_z + self.projection @ s - 0.5 * np.einsum("hmij,i,j->hm", self.gram, s, s))
-
-    def each(self, s: Array) -> Array:
-        """ln of every heliostat's factor of L(s), (H,)."""
-        z = self.sets(s)
-        both = np.concatenate([np.log1p(-OWN) + z, (np.log(OWN) + self.own)[:, None]], axis=1)
-        return np.asarray(logsumexp(both, axis=1))
-
-    def bears(self, at: Array, places: Sequence[int]) -> int:
-        """How many heliostats are more probable with some parameters than without, the others as they are."""
-        without = np.where(np.isin(np.arange(len(at)), places), 0.0, at)
-        return int((self.each(at) > self.each(without) + HEARD).sum())
-
-    def total(self, many: Array) -> Array:
-        """ln L(s) − ½ |s|² at points (S, k), (S,)."""
-        heliostats, sets, k = self.projection.shape
-        square = np.einsum("si,sj->sij", many, many).reshape(len(many), -1)
-        z = self.projection.reshape(-1, k) @ many.T - 0.5 * self.gram.reshape(-1, k * k) @ square.T
-        z = np.log1p(-OWN) + self.log_z[:, :, None] + z.reshape(heliostats, sets, -1)
-        own = np.broadcast_to((np.log(OWN) + self.own)[:, None], (heliostats, len(many)))
-        return np.logaddexp(logsumexp(z, axis=1), own).sum(axis=0) - 0.5 * (many**2).sum(axis=1)
-
-    def expected(self, at: Array, places: Sequence[int]) -> float:
-        """How many `bears` would count if the parameters are as large as that: ln of a heliostat's ratio of likelihoods
-        is normal about half of q with variance q, where q is what its records show of them (χ² of their signal)."""
-        only = np.where(np.isin(np.arange(len(at)), places), at, 0.0)
-        q = np.maximum(
-            (softmax(self.sets(at), axis=1) * np.einsum("hmij,i,j->hm", self.gram, only, only)).sum(axis=1), 1e-12
-        )
-        return float(norm.cdf((0.5 * q - HEARD) / np.sqrt(q)).sum())
-
-    def peak(self, places: list[int]) -> tuple[float, Array, Array]:
-        """ln of the evidence with some parameters free, and their posterior mean and 1 sigma."""
-        b, g = self.projection[:, :, places], self.gram[:, :, places][:, :, :, places]
-        some = replace(self, projection=b, gram=g)
-        if not places:
-            return float(some.each(np.zeros(0)).sum()), np.zeros(0), np.zeros(0)
-
-        def slopes(s: Array) -> tuple[float, Array, Array]:
-            each = some.each(s)
-            weight = np.exp(np.log1p(-OWN) + some.sets(s) - each[:, None])
-            slope = b - g @ s
-            mean = np.einsum("hm,hmi->hi", weight, slope)
-            curved = np.einsum("hm,hmij->ij", weight, g) - np.einsum("hm,hmi,hmj->ij", weight, slope, slope)
-            value = float(each.sum() - 0.5 * s @ s)
-            return value, mean.sum(axis=0) - s, curved + mean.T @ mean + np.eye(len(s))
-
-        lone = np.linalg.solve(g + np.eye(len(places)), b[..., None])[..., 0]
-        first = lone[np.arange(len(lone)), np.argmax(self.log_z + 0.5 * (b * lone).sum(axis=2), axis=1)]
-        ends = [
-            minimize(lambda s: [-v for v in slopes(s)[:2]], start, jac=True, method="BFGS")
-            for start in (np.zeros(len(places)), np.median(first, axis=0))
-        ]
-        middle = min(ends, key=lambda e: e.fun).x
-        values, turn = np.linalg.eigh(slopes(middle)[2])
-        shape = (turn / np.maximum(values, 1e-9)) @ turn.T
-        total = 0.0
-        for again in range(ROUNDS):
-            # Tails are heavier than the peak's curvature says where one more heliostat would be left out.
-            about = multivariate_t(middle, shape, TAIL)
-            drawn = about.rvs(DRAWS, random_state=again).reshape(DRAWS, -1)
-            log = some.total(drawn) - about.logpdf(drawn) - 0.5 * len(places) * np.log(2 * np.pi)
-            total, share = float(logsumexp(log) - np.log(DRAWS)), softmax(log)
-            middle = share @ drawn
-            shape = np.cov(drawn.T, aweights=share, bias=True).reshape(len(places), -1) + 1e-12 * np.eye(len(places))
-        return total, middle, np.sqrt(np.diag(shape))
 
 
 def applied(session: Session, shared: Sequence[Shared]) -> Session:

@@ -11,7 +11,8 @@ from scipy.special import logsumexp
 from benchsim.diagnosis.evidence import log_prior
 from benchsim.diagnosis.problem import Parameter
 from benchsim.instruments.mount import paint, shared_causes
-from benchsim.instruments.mount.shared_causes import OWN, Cause, Witness, joint
+from benchsim.instruments.mount.field_likelihood import OWN, Witness
+from benchsim.instruments.mount.shared_causes import Cause, joint
 
 CLOCK = Cause("clock", "A clock.", (("dt", "clock", "dt", 1.0),))
 SECOND = (Parameter("dt", "s", 10.0),)
