@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 
 GPS = 0x8825
 
+ABROAD = 5e7
+"""From the plant [mm]: no drone that looks at it is so far away."""
+
 
 def gps(path: Path) -> Array | None:
     """Latitude, longitude [deg] and height [m] that EXIF states; None if it does not, or not in numbers."""
@@ -43,6 +46,9 @@ def places_of(paths: Sequence[Path], plant: Plant, table: Path | None) -> Array:
     """(n, 3) east, north, up [mm] of the camera in each picture."""
     if table is None:
         found = [gps(x) for x in paths]
+        empty = next((x for x in paths if not x.stat().st_size), None)
+        if empty is not None:
+            raise BenchsimError(f"{empty.name}: is an empty file; copy it again")
         lacking = [x.name for x, place in zip(paths, found, strict=True) if place is None]
         if lacking:
             raise BenchsimError(
@@ -50,7 +56,17 @@ def places_of(paths: Sequence[Path], plant: Plant, table: Path | None) -> Array:
                 "give --positions"
             )
         places = np.array([x for x in found if x is not None])
-        return tables.geographic(places, plant.site.place)
+        out = tables.geographic(places, plant.site.place)
+        far = int(np.argmax(np.linalg.norm(out, axis=1)))
+        if np.linalg.norm(out[far]) > ABROAD:
+            fix = (
+                "GPS had no fix" if not np.abs(places[far, :2]).max() > 0.1 else "a sign, or the plant's site, is wrong"
+            )
+            raise BenchsimError(
+                f"{paths[far].name}: EXIF places it {np.linalg.norm(out[far]) / 1e6:.0f} km from the plant, at "
+                f"{places[far, 0]:.4f}, {places[far, 1]:.4f}: {fix}; give --positions or mend [site]"
+            )
+        return out
     rows = read_positions(table, plant)
     lost = next((x.name for x in paths if x.name not in rows), None)
     if lost is not None:

@@ -131,14 +131,20 @@ def shipped_radial():
 
 
 @pytest.mark.parametrize(
-    ("exif", "says"), [(False, "EXIF does not say where it was taken"), (True, "all taken at one place")]
+    ("exif", "says"),
+    [
+        (None, "EXIF does not say where it was taken"),
+        ((37.001, -2.0), "all taken at one place"),
+        ((0.0, 0.0), "GPS had no fix"),
+        ((37.001, 2.0), "a sign, or the plant's site, is wrong"),
+    ],
 )
 def test_pictures_that_cannot_be_used_are_told_in_a_sentence(plant, tmp_path, exif, says):
     camera_file(tmp_path / "camera.toml", (64, 48), 100.0)
     (tmp_path / "photos").mkdir()
     for k in range(3):
         picture = Image.fromarray(np.full((48, 64), 90, np.uint8))
-        more = {"exif": tagged(37.001, -2.0, 590.0)} if exif else {}
+        more = {"exif": tagged(*exif, 590.0)} if exif else {}
         picture.save(tmp_path / "photos" / f"{k}.jpg", **more)
     done = run("drone", "read", tmp_path / "photos", plant, "--camera", tmp_path / "camera.toml", "-o", tmp_path / "o")
     assert done.exit_code == 1 and says in done.output and not (tmp_path / "o").exists()
