@@ -22,9 +22,9 @@ def constants(tree: ast.Module) -> list[str]:
     """Names in capitals that hold numbers of their own."""
     found = []
     for node in tree.body:
-        if isinstance(node, ast.Assign) and any(
-            isinstance(n, ast.Constant) and isinstance(n.value, int | float) for n in ast.walk(node.value)
-        ):
+        inside = list(ast.walk(node.value)) if isinstance(node, ast.Assign) else []
+        derived = any(isinstance(n, ast.Name) and n.id.strip("_").isupper() for n in inside)
+        if not derived and any(isinstance(n, ast.Constant) and isinstance(n.value, int | float) for n in inside):
             targets = [t for t in node.targets for t in (t.elts if isinstance(t, ast.Tuple) else [t])]
             found += [t.id for t in targets if isinstance(t, ast.Name) and t.id.strip("_").isupper()]
     return found
