@@ -113,7 +113,7 @@ def test_a_crest_saturated_over_a_long_stretch_does_not_bend_the_line(tmp_path):
     assert abs(error_of(scene, trace)[cut].mean()) < 0.015
 
 
-@pytest.mark.parametrize("exposure", [0.7, 1.0])
+@pytest.mark.parametrize("exposure", [pytest.param(0.7, marks=pytest.mark.slow), 1.0])
 def test_speckle_does_not_narrow_the_line(tmp_path, exposure):
     """Scenario. Speckle of a fifth of the light, as large as a pixel. Weights and scales that follow a profile's own
     noise make lines narrower, by 2 % here, where profiles have few pixels: to a diagnosis, a beam of another curvature.
