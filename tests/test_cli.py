@@ -62,7 +62,7 @@ def test_a_complaint_is_json_too_where_that_was_asked_for(tmp_path):
 @pytest.mark.parametrize(
     ("args", "mend"),
     [
-        (["fit", "--pixel", "x"], "--pixel; did you mean --pixels? 'benchsim fit --help' tells what it takes."),
+        (["fit", "--pixel", "x"], "did you mean --pixels? 'benchsim fit --help' tells what it takes."),
         (["fit"], "'benchsim fit --help' tells what it takes."),
         (["--versoin"], "did you mean --version? 'benchsim --help'"),
         (["trial", "judge", "--agian", "x"], "did you mean --again? 'benchsim trial judge --help'"),

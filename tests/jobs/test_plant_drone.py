@@ -64,14 +64,14 @@ def rational(value, digits):
 
 def tagged(latitude, longitude, height):
     """EXIF with a place, as a drone with RTK writes it: to 1e-6 of an arc second, and to a millimetre."""
-    exif = Image.Exif()
-    place = exif.get_ifd(0x8825)
+    exif, place = Image.Exif(), {}
     for tag, value, words in ((1, latitude, "NS"), (3, longitude, "EW")):
         d, rest = divmod(abs(value), 1)
         m, rest = divmod(60 * rest, 1)
         place[tag] = words[int(value < 0)]
         place[tag + 1] = (d, m, Fraction6(60 * rest))
     place[5], place[6] = b"\0", Fraction6(height)
+    exif[0x8825] = place
     return exif
 
 
