@@ -190,9 +190,10 @@ def moment(
 def _beams(plant: Plant, sun: Array, errors: Mapping[str, Array]) -> Beams:
     f = plant.field
     share, sun_parts = plant.sun.gaussians
-    parts = np.sqrt(sun_parts[:, None] ** 2 + plant.blur**2)
+    blur = plant.blur
+    spread, parts = np.hypot(plant.sun.sigma, blur), np.hypot(sun_parts[:, None], blur)
     return Beams(
-        f.position, normals(f, sun, errors), f.width, f.height, plant.spread, f.distance, sun, share, parts
+        f.position, normals(f, sun, errors), f.width, f.height, spread, f.distance, sun, share, parts
     )  # fmt: skip
 
 

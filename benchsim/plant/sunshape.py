@@ -41,7 +41,7 @@ class SunShape:
     angle: Array
     radiance: Array
 
-    @property
+    @cached_property
     def sigma(self) -> float:
         """Standard deviation in one direction [rad]: half of ⟨θ²⟩ over the solid angle, from the pieces' moments."""
         if len(self.angle) == 1:
@@ -56,7 +56,7 @@ class SunShape:
 
         return float(np.sqrt(moment(3) / moment(1) / 2))
 
-    @property
+    @cached_property
     def half(self) -> float:
         """Largest angle at which the radiance is above half of its largest [rad]; a Gaussian's sigma."""
         fine = np.unique(np.r_[self.angle, np.linspace(self.angle[0], self.angle[-1], 10001)])
