@@ -145,7 +145,7 @@ def detectors_plan(
 
 @detectors_app.command("read")
 def detectors_read(
-    record: Annotated[Path, typer.Argument(help="CSV or WAV of the detectors' currents.")],
+    record: Annotated[Path, typer.Argument(help="CSV, WAV or HDF5 of the detectors' currents.")],
     plant: PlantArgument,
     at: Annotated[str, typer.Option(help="Time of the record's middle.")],
     output: Output = None,

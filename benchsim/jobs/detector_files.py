@@ -1,4 +1,4 @@
-"""Files of a record of detectors, as somebody wrote them: samples as CSV or WAV, labels as CSV."""
+"""Files of a record of detectors, as somebody wrote them: samples as CSV, WAV or HDF5, labels as CSV."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy.io import wavfile
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.names import printable
 from benchsim.bench.reading import RECORD_BYTES, read_file
+from benchsim.jobs import detector_hdf5
 from benchsim.jobs.detector_station import watch
 from benchsim.plant import tables
 from benchsim.plant.model import Plant
@@ -57,7 +58,12 @@ def read_record(path: Path, count: int) -> tuple[float, Array, NDArray[np.int_]]
     body = read_file(path, RECORD_BYTES)
     if body[:4] in (b"RIFF", b"RIFX", b"RF64"):
         return _wav(path, body, count)
-    return _csv(path, body, count)
+    try:
+        if body[:8] == detector_hdf5.SIGNATURE:
+            return _columns(*detector_hdf5.columns(body, RECORD_BYTES // 8), count)
+        return _columns(_csv(body), None, count)
+    except ValueError as error:
+        raise BenchsimError(f"{path}: {error}") from None
 
 
 def _wav(path: Path, body: bytes, count: int) -> tuple[float, Array, NDArray[np.int_]]:
@@ -78,32 +84,46 @@ def _wav(path: Path, body: bytes, count: int) -> tuple[float, Array, NDArray[np.
     return float(rate), np.asarray(values.T, float), np.arange(count)
 
 
-def _csv(path: Path, body: bytes, count: int) -> tuple[float, Array, NDArray[np.int_]]:
-    def fail(says: str) -> BenchsimError:
-        return BenchsimError(f"{path}: {says}")
-
+def _csv(body: bytes) -> dict[str, Array]:
     try:
         head, _, rest = body.decode("utf-8-sig").partition("\n")
     except UnicodeDecodeError:
-        raise fail("is neither WAV nor CSV in UTF-8; save it so") from None
+        raise ValueError("is neither WAV nor HDF5 nor CSV in UTF-8; save it so") from None
     separator = max(",;\t", key=head.count)
     names = [c.strip() for c in head.strip().split(separator)]
-    known = {f"detector_{k + 1}": k for k in range(count)}
     if names[0] != "time_s" or len(names) < 2:
-        raise fail("the first line names no columns time_s, detector_1 and so on; add it")
-    odd = next((n for n in names[1:] if n not in known or names.count(n) > 1), None)
-    if odd is not None:
-        raise fail(f"{printable(odd)[:40]!r} is none of detector_1 to detector_{count}, or is there twice; mend it")
+        raise ValueError("the first line names no columns time_s, detector_1 and so on; add it")
+    twice = next((n for n in names if names.count(n) > 1), None)
+    if twice is not None:
+        raise ValueError(f"{printable(twice)[:40]!r} is there twice; mend it")
     try:
         table = np.loadtxt(io.StringIO(rest), delimiter=separator, ndmin=2, comments=None)
     except (ValueError, OverflowError) as error:
-        raise fail(f"a line is not of numbers ({printable(str(error))[:120]}); mend it") from None
-    if table.shape[1] != len(names) or len(table) < FEWEST:
-        raise fail(f"has {len(table)} lines of {table.shape[1]} numbers; give {FEWEST} or more of {len(names)}")
-    steps = np.diff(table[:, 0])
-    with np.errstate(all="ignore"):
-        mean = float(np.mean(steps))
-        even = np.isfinite(mean) and mean > 1e-6 and np.abs(steps - mean).max() < 0.05 * mean
-    if not even:
-        raise fail("time_s: does not grow by equal steps; resample the record")
-    return 1 / mean, table[:, 1:].T, np.array([known[n] for n in names[1:]])
+        raise ValueError(f"a line is not of numbers ({printable(str(error))[:120]}); mend it") from None
+    if table.shape[1] != len(names):
+        raise ValueError(f"has lines of {table.shape[1]} numbers under {len(names)} names; mend it")
+    return dict(zip(names, table.T, strict=True))
+
+
+def _columns(columns: dict[str, Array], rate: float | None, count: int) -> tuple[float, Array, NDArray[np.int_]]:
+    columns = dict(columns)
+    times = columns.pop("time_s", None)
+    known = {f"detector_{k + 1}": k for k in range(count)}
+    odd = next((n for n in columns if n not in known), None)
+    if odd is not None:
+        raise ValueError(f"{printable(odd)[:40]!r} is none of detector_1 to detector_{count}; mend it")
+    length = len(next(iter(columns.values()), ()))
+    if length < FEWEST:
+        raise ValueError(f"has {length} samples of {len(columns)} detectors; give {FEWEST} or more")
+    if times is not None:
+        with np.errstate(all="ignore"):
+            step = float(np.mean(np.diff(times)))
+            even = np.isfinite(step) and step > 1e-6 and np.abs(np.diff(times) - step).max() < 0.05 * step
+        if not even:
+            raise ValueError("time_s: does not grow by equal steps; resample the record")
+        rate = 1 / step
+    if rate is None or not 0 < rate < 1e6:
+        raise ValueError("states no sampling rate; add time_s, or an attribute rate_hz in Hz")
+    # Crossings are found along the arrays, whatever the order of the columns.
+    order = sorted(columns, key=known.__getitem__)
+    return rate, np.array([columns[n] for n in order]), np.array([known[n] for n in order])

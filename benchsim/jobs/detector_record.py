@@ -132,7 +132,9 @@ def detectors_read(
     ----------
     record : path
         A CSV with ``time_s`` and a column ``detector_1`` … for each detector of ``detectors.csv``, any of which may
-        be missing; or a WAV of 16, 24 or 32 bits, or floats, with a channel for each, in that order. In any unit.
+        be missing; an HDF5 with such datasets at its top, or one, ``samples``, of samples by detectors, and an
+        attribute ``rate_hz`` if there is no ``time_s``; or a WAV of 16, 24 or 32 bits, or floats, with a channel for
+        each, in that order. In any unit.
     plant : path
     output : path, optional
         Folder for ``record.json``, ``measured.csv``, a picture and ``summary.txt``; default: nothing is written.

@@ -12,6 +12,7 @@ import warnings
 from pathlib import Path
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -85,6 +86,7 @@ READERS = {
     **{f"plant-{kind}/layout.csv": plant for kind in ("solarpilot", "soltrace")},
     "record/r.csv": lambda path: read_record(path, 3),
     "record/r.wav": lambda path: read_record(path, 3),
+    "record/r.h5": lambda path: read_record(path, 3),
     "record/positions.csv": lambda path: read_positions(path, plants.read(CORPUS / "plant")),
     "field/field.csv": lambda path: heliostats(path, None),
     **{f"validation/{name}.json": of_folder(reporting.build) for name in ("page", "validation", "conics", "benchsim")},
@@ -120,6 +122,9 @@ def corpus(tmp_path_factory):
     np.savetxt(folder / "record" / "r.csv", table, delimiter=",", header=head, comments="", fmt="%.6g")
     (folder / "record" / "positions.csv").write_text("name,latitude_deg,longitude_deg,height_m\na.jpg,37.1,-2.4,590\n")
     wavfile.write(folder / "record" / "r.wav", 500, table[:, 1:].astype(np.float32))
+    with h5py.File(folder / "record" / "r.h5", "w") as file:
+        file.create_dataset("samples", data=table[:, 1:], chunks=(50, 3), compression="gzip", shuffle=True)
+        file.attrs["rate_hz"] = 500.0
     (folder / "picture").mkdir()
     counts = np.arange(12 * 16, dtype=np.uint8).reshape(12, 16)
     exif = Image.Exif()

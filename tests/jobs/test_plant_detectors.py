@@ -3,6 +3,7 @@
 import csv
 import json
 
+import h5py
 import numpy as np
 import pytest
 from scipy.io import wavfile
@@ -116,6 +117,65 @@ def test_a_table_of_some_detectors_is_read_too(plant, planned, tmp_path):
     np.savetxt(tmp_path / "f.csv", flat, delimiter=",", header=head, comments="", fmt="%.7g")
     assert "clipped" in bs.detectors_read(tmp_path / "f.csv", plant, at=NOON).summary()
     assert result._repr_html_().count("data:image/png;base64,") == 1
+
+
+@pytest.mark.parametrize("layout", ["samples", "columns"])
+def test_hdf5_says_what_the_wav_says(plant, planned, tmp_path, layout):
+    rate, data = wavfile.read(planned[0] / "record.wav")
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        if layout == "samples":
+            file.create_dataset("samples", data=data, compression="gzip").attrs["rate_hz"] = rate
+        else:
+            file["time_s"] = np.arange(len(data)) / rate
+            for k in reversed(range(data.shape[1])):
+                file[f"detector_{k + 1}"] = data[:, k]
+        file["operator"] = "not a column"
+    files = planned[0] / "record.wav", tmp_path / "r.h5"
+    expected, found = (bs.detectors_read(file, plant, at=NOON).rows for file in files)
+    for a, b in zip(expected, found, strict=True):
+        assert a["outcome"] == b["outcome"] and b["raise_mrad"] == pytest.approx(a["raise_mrad"], abs=1e-6)
+
+
+def put_link(file, elsewhere):
+    file["detector_1"] = h5py.ExternalLink(str(elsewhere), "detector_1")
+
+
+def put_raw(file, elsewhere):
+    file.create_dataset("detector_1", (300,), "f8", external=[(str(elsewhere), 0, 2400)])
+
+
+def put_view(file, elsewhere):
+    layout = h5py.VirtualLayout((300,), "f8")
+    layout[:] = h5py.VirtualSource(str(elsewhere), "detector_1", (300,))
+    file.create_virtual_dataset("detector_1", layout)
+
+
+def put_bomb(file, elsewhere):
+    file.create_dataset("samples", (2**40, 3), "u1", chunks=(1024, 3), compression="gzip")
+
+
+def put_nothing(file, elsewhere):
+    file["detector_1"] = np.arange(300.0)
+
+
+@pytest.mark.parametrize(
+    ("put", "says"),
+    [
+        (put_link, "lies elsewhere"),
+        (put_raw, "lies elsewhere"),
+        (put_view, "lies elsewhere"),
+        (put_bomb, "numbers; cut the record"),
+        (put_nothing, "states no sampling rate"),
+    ],
+)
+def test_an_hdf5_reaches_no_other_file(plant, tmp_path, put, says):
+    """Links, raw storage and views of others' files, whose numbers a page would show; and what fills the memory."""
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["detector_1"] = np.arange(300.0)
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        put(file, tmp_path / "secret.h5")
+    done = run("detectors", "read", tmp_path / "r.h5", plant, "--at", NOON, "-o", tmp_path / "o")
+    assert done.exit_code == 1 and says in done.output and not (tmp_path / "o").exists()
 
 
 @pytest.mark.parametrize(

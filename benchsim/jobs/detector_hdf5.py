@@ -1,0 +1,76 @@
+"""A record of detectors in HDF5: columns as a CSV has them, as datasets at the top of the file.
+
+A file from a stranger must not reach others: what lies in another file, or has to be unpacked by a plug-in, is refused.
+"""
+
+from __future__ import annotations
+
+import io
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""With which every such file begins (HDF5 File Format Specification, II.A)."""
+
+PLAIN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_LZF}
+"""Compressions that h5py itself unpacks; others are libraries looked up by name."""
+
+ALL_AT_ONCE = "samples"
+"""A dataset of samples by detectors, in the order of ``detectors.csv``."""
+
+
+def columns(body: bytes, most: int) -> tuple[dict[str, Array], float | None]:
+    """Columns by name, of equal length, and the sampling rate [Hz] if the file states ``rate_hz``.
+
+    Parameters
+    ----------
+    body : bytes
+    most : int
+        Of numbers that may be unpacked.
+
+    Raises
+    ------
+    ValueError
+        With a sentence, if the file is not such a record.
+    """
+    try:
+        with h5py.File(io.BytesIO(body), "r") as file:
+            found = _columns(file, most)
+            rate = file.attrs.get("rate_hz", file[ALL_AT_ONCE].attrs.get("rate_hz") if ALL_AT_ONCE in file else None)
+    except (OSError, RuntimeError, KeyError, TypeError, MemoryError, UnicodeError, SystemError) as error:
+        raise ValueError("is no HDF5 that can be read; save it anew, without links or plug-ins") from error
+    if rate is None:
+        return found, None
+    rate = np.asarray(rate)
+    if rate.size != 1 or rate.dtype.kind not in "iuf":
+        raise ValueError("attribute rate_hz: is not one number; mend it")
+    return found, float(rate.ravel()[0])
+
+
+def _columns(file: h5py.File, most: int) -> dict[str, Array]:
+    out: dict[str, Array] = {}
+    left = most
+    for name in file:
+        if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+            raise ValueError(f"{name!r:.60} lies elsewhere; put the numbers themselves into the file")
+        data = file[name]
+        if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "iuf":
+            continue
+        plist = data.id.get_create_plist()
+        filters = {plist.get_filter(k)[0] for k in range(plist.get_nfilters())}
+        if data.external or data.is_virtual or not filters <= PLAIN_FILTERS:
+            raise ValueError(f"dataset {name!r:.60} lies elsewhere or is packed by a plug-in; save it plain or by gzip")
+        left -= data.size or 0
+        if left < 0:
+            raise ValueError(f"holds more than {most:,} numbers; cut the record")
+        if name == ALL_AT_ONCE and data.ndim == 2:
+            out |= {f"detector_{k + 1}": np.asarray(c, float) for k, c in enumerate(data[()].T)}
+        elif data.ndim == 1:
+            out[name] = np.asarray(data[()], float)
+    if len({len(c) for c in out.values()}) > 1:
+        raise ValueError("its datasets are of different lengths; give one sample of each detector at each time")
+    return out
