@@ -11,6 +11,9 @@ for _key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import pytest  # noqa: E402 -- after the threads are set
 from hypothesis import settings  # noqa: E402
 
+sys.path.insert(0, str(Path(__file__).parent))
+from schedulers import dask_of_tls  # noqa: E402, F401 -- a fixture of several rooms
+
 # A deadline would measure what else the machine is doing.
 settings.register_profile("benchsim", deadline=None)
 settings.load_profile("benchsim")

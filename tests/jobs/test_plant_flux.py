@@ -43,6 +43,17 @@ def test_the_papers_five_heliostats_make_the_flux_that_the_room_computes():
     assert result.maps()[0].max() == pytest.approx(expected.max() / 1e3, rel=1e-3)
 
 
+def test_a_day_over_a_scheduler_of_ones_own_is_that_of_this_process(dask_of_tls, tmp_path):
+    """By the command, with two workers that speak TLS alone: sums, maps and what errors cost."""
+    words = ["flux", PLANTS / "five", "--day", "2026-06-21", "--step", 2, "--errors", "drawn", "--rank", "--cells", 20]
+    tls = ["--scheduler", dask_of_tls.address, "--tls", *dask_of_tls.tls]
+    for name, more in (("here", ["--workers", 0]), ("there", tls)):
+        done = run(*words, *more, "-o", tmp_path / name)
+        assert done.exit_code == 0, done.output
+    for name in ("flux.json", "heliostats.csv", "flux-target.csv"):
+        assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
+
+
 def test_a_plant_is_begun_checked_and_computed(tmp_path):
     plant, out = tmp_path / "plant", tmp_path / "out"
     assert "30 heliostats" in run("new", plant, "--plant", "--heliostats", 30).output
