@@ -16,6 +16,7 @@ from benchsim.boards.layout import RULE
 from benchsim.jobs.output import output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
+from benchsim.reports.quantities import counted
 
 READING = 0.2
 """Error of a reading on a ruler [mm], 1 sigma: what `summary` translates into the marks' places."""
@@ -76,7 +77,7 @@ class BoardResult(Shown):
         far = max(abs(c) for centre in self.layout.marks.centres for c in centre)
         lines = [
             f"board of {w:g} × {h:g} mm with {len(self.marks.ids)} AprilTags 36h11 in {self.folder}/: board.pdf "
-            f"({self.pages} page{'s' if self.pages > 1 else ''}, {self.paper}), board.svg, marks.csv"
+            f"({counted(self.pages, 'page')}, {self.paper}), board.svg, marks.csv"
         ]
         if self.measured is None:
             lines += [

@@ -28,6 +28,7 @@ from benchsim.jobs.output import label, output_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.plant import files as plants
+from benchsim.reports.quantities import counted
 
 SETTINGS_TO_HOLD_OUT = 3
 """Fewer settings leave none to test a diagnosis on."""
@@ -66,7 +67,9 @@ class CheckResult(Shown):
             if some:
                 lines += [f"{title} ({len(some)})", *(f"  {where}: {says}" for where, says in _folded(some))]
         if self.usable:
-            lines.append(f"{self.name}: {self.exposures} exposures, nothing missing and nothing inconsistent")
+            lines.append(
+                f"{self.name}: {counted(self.exposures, 'exposure')}, nothing missing and nothing inconsistent"
+            )
             lines.append(f"next: benchsim diagnose {there}")
         else:
             what = "" if self.looked else "; the settings are compared with the pictures when every key can be read"

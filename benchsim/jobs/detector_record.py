@@ -25,6 +25,7 @@ from benchsim.plant import days, files
 from benchsim.plant.model import Plant
 from benchsim.reports import detector_pictures
 from benchsim.reports.pictures import save
+from benchsim.reports.quantities import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -211,17 +212,18 @@ def _suited(
     if still.any():
         kept = ~still
         names = ", ".join(f"detector_{k + 1}" for k in there[still][:5]) + (", …" if still.sum() > 5 else "")
-        remarks.append(f"{still.sum()} detectors never change and are left out: {names}.")
+        change = "s and is" if still.sum() == 1 else " and are"
+        remarks.append(f"{counted(still.sum(), 'detector')} never change{change} left out: {names}.")
         samples, there = samples[kept], there[kept]
     held = (samples == samples.max(axis=1, keepdims=True)).mean(axis=1) > CLIPPED
     if held.any():
         remarks.append(
-            f"{held.sum()} detectors hold their largest value for more than {100 * CLIPPED:g} % of the record: they "
-            "are clipped; record with less gain."
+            f"{counted(held.sum(), 'detector')} clipped, at the largest value for more than {100 * CLIPPED:g} % of the "
+            "record; record with less gain."
         )
     lost = len(scene.detectors) - len(there) - int(still.sum())
     if lost:
-        remarks.append(f"{lost} of {len(scene.detectors)} detectors are not in the record.")
+        remarks.append(f"Of {len(scene.detectors)} detectors {lost} {'is' if lost == 1 else 'are'} not in the record.")
     member = scene.member[there]
     if min(np.bincount(member, minlength=len(scene.arrays))) < 3:
         raise BenchsimError(f"{path}: fewer than 3 detectors of an array are usable; record more of them")
@@ -262,5 +264,7 @@ def _contradictions(rows: list[dict[str, Any]]) -> list[str]:
             "the channels' order, or the time is not as said."
         )
     if counts["unresolved"]:
-        out.append(f"{counts['unresolved']} labels are nearer than 1/T to another: record longer.")
+        out.append(
+            f"Nearer than 1/T to another: the labels of {counted(counts['unresolved'], 'heliostat')}; record longer."
+        )
     return out

@@ -21,6 +21,7 @@ from benchsim.plant.model import Plant
 from benchsim.plant.station import DetectorArray, Station
 from benchsim.reports import detector_pictures
 from benchsim.reports.pictures import save
+from benchsim.reports.quantities import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -116,10 +117,10 @@ class DetectorsResult(Shown):
     def _says(self, i: int) -> str:
         seen, crossed, hidden = self.seen[:, i], self.crossed[:, i], self.hidden[:, i]
         if seen.all():
-            return f"seen at all {len(seen)} times"
+            return f"seen at all {counted(len(seen), 'time')}"
         lacks = []
         if hidden.any():
-            lacks.append(f"hidden by another mirror at {hidden.sum()} of {len(hidden)} times")
+            lacks.append(f"hidden by another mirror at {hidden.sum()} of {counted(len(hidden), 'time')}")
         if (beside := ~crossed & ~hidden).any():
             lacks.append(f"a trace misses the arrays at {beside.sum()}")
         if (faint := crossed & ~seen).any():
@@ -165,8 +166,8 @@ class DetectorsResult(Shown):
         name = self.plant.title or self.plant.path.resolve().parent.name
         last = f" to {self.times[-1]:%Y-%m-%d %H:%M}" if len(self.times) > 1 else ""
         lines = [
-            f"{name}: {len(f)} heliostats, {', '.join(_place(a) for a in s.arrays)}; {len(self.times)} "
-            f"time{'s' if len(self.times) > 1 else ''}, {self.times[0]:%Y-%m-%d %H:%M}{last}",
+            f"{name}: {counted(len(f), 'heliostat')}, {', '.join(_place(a) for a in s.arrays)}; "
+            f"{counted(len(self.times), 'time')}, {self.times[0]:%Y-%m-%d %H:%M}{last}",
             f"  both angles to {1e3 * LIMIT:g} mrad: {100 * self.share:.1f} % of heliostats and times"
             + (f" (as stated {100 * self.before:.1f} %)" if self.before is not None else ""),
         ]
@@ -244,7 +245,7 @@ def tables_of(plant: Plant, station: Station | None = None) -> str:
 def _place(a: DetectorArray) -> str:
     side = ("left" if a.offset > 0 else "right") if a.upright else ("above" if a.offset > 0 else "below")
     ends = f"{a.along[0] / 1e3:.3g} to {a.along[-1] / 1e3:.3g} m"
-    return f"{a.count} detectors {abs(a.offset) / 1e3:.3g} m {side} ({ends})"
+    return f"{counted(a.count, 'detector')} {abs(a.offset) / 1e3:.3g} m {side} ({ends})"
 
 
 def write(r: DetectorsResult, folder: Path) -> None:

@@ -30,6 +30,7 @@ from benchsim.plant import files
 from benchsim.plant.model import Plant
 from benchsim.reports import drone_pictures
 from benchsim.reports.pictures import save
+from benchsim.reports.quantities import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,6 +43,9 @@ SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 
 MOST = 5000
 """Pictures of a cluster."""
+
+TOLD = 3
+"""Heliostats that are named where many lack the same; the files have all."""
 
 BESIDE = 5e3
 """Beyond the planned pattern at which pictures contradict the plan [mm]: heliostats that look at the planned point do
@@ -89,23 +93,30 @@ class DroneReading(Shown):
         """Plain sentences for ``summary.txt``."""
         known = [r for r in self.rows if not r["says"]]
         lines = [
-            f"cluster {self.cluster.number}: {self.pictures} pictures, axes of {len(known)} of {len(self.rows)} "
-            "heliostats",
-            "  looks beside where it was told to, by azimuth and elevation [mrad]; of the axis sigma_mean, sigma_sys",
+            f"cluster {self.cluster.number}: {self.pictures} pictures, axes of {len(known)} of "
+            f"{counted(len(self.rows), 'heliostat')}"
         ]
+        if known:
+            head = "  looks beside where it was told to, by azimuth and elevation [mrad]"
+            lines.append(f"{head}; of the axis sigma_mean, sigma_sys")
+        lines += [
+            f"    {r['id']:<10} {r['azimuth_off_mrad']:+8.3f} ± {r['sigma_azimuth_off_mrad']:.2f} "
+            f"{r['elevation_off_mrad']:+8.3f} ± {r['sigma_elevation_off_mrad']:.2f}   "
+            f"{r['sigma_mean_mrad']:.2f}, {r['sigma_sys_mrad']:.2f}   {counted(r['glints'], 'glint')}"
+            for r in known
+        ]
+        lacking: dict[str, list[str]] = {}
         for r in self.rows:
-            lines.append(
-                f"    {r['id']:<10} {r['azimuth_off_mrad']:+8.3f} ± {r['sigma_azimuth_off_mrad']:.2f} "
-                f"{r['elevation_off_mrad']:+8.3f} ± {r['sigma_elevation_off_mrad']:.2f}   "
-                f"{r['sigma_mean_mrad']:.2f}, {r['sigma_sys_mrad']:.2f}   {r['glints']} glints"
-                if not r["says"]
-                else f"    {r['id']:<10} {r['says']}"
-            )
+            if r["says"]:
+                lacking.setdefault(r["says"], []).append(r["id"])
+        lines += [f"  of {_named(ids)}: {says}" for says, ids in lacking.items()]
         return "\n".join([*lines, *self.remarks])
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        return self.text() + written(self.folder) + "\nnext: turn them by as much the other way, and fly again"
+        known = any(not r["says"] for r in self.rows)
+        step = "turn them by as much the other way, and fly again" if known else "mend what is said, and read again"
+        return f"{self.text()}{written(self.folder)}\nnext: {step}"
 
     def figures(self) -> list[Figure]:
         """The axes on the plan."""
@@ -159,7 +170,7 @@ def drone_read(
         raise BenchsimError(f"{folder}: no such folder; name the folder that the pictures are in")
     paths = sorted(x for x in folder.iterdir() if x.suffix.lower() in SUFFIXES and not x.name.startswith("."))
     if len(paths) < 3:
-        raise BenchsimError(f"{folder}: holds {len(paths)} pictures; give those of a whole pattern")
+        raise BenchsimError(f"{folder}: holds {counted(len(paths), 'picture')}; give those of a whole pattern")
     if len(paths) > MOST:
         raise BenchsimError(f"{folder}: holds more than {MOST} pictures; give those of one cluster")
     lens, remarks = lens_of(Path(camera))
@@ -245,6 +256,13 @@ def _row(c: Cluster, k: int, s: Sightings, eyes: Array, missed: int, pictures: i
         1e3 * width, 1e3 * mean, 1e3 * system, 1e3 * sigma, float(e.p_normal.min()),
     )  # fmt: skip
     return row | dict(zip(numbers, values, strict=True)) | {"says": ""}
+
+
+def _named(ids: Sequence[str]) -> str:
+    """Some heliostats, by their ids; many with a count."""
+    if len(ids) <= TOLD:
+        return ", ".join(ids)
+    return f"{len(ids)} heliostats ({', '.join(ids[:TOLD])}, …)"
 
 
 def _contradictions(rows: Sequence[dict[str, Any]]) -> list[str]:

@@ -38,6 +38,7 @@ from benchsim.jobs.output import begun_folder, default_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.reports import page
+from benchsim.reports.quantities import counted
 
 FORMAT = "benchsim-field/1"
 
@@ -105,7 +106,7 @@ class FieldDiagnosis(Shown):
         """What a person wants to know, on a terminal."""
         n = len(self.rows)
         before, after = (np.array([r[f"miss_{w}_mrad"] for r in self.rows], float) for w in ("before", "after"))
-        lines = [f"{n} heliostats diagnosed" + (f", {len(self.lost)} not" if self.lost else "") + "."]
+        lines = [f"{counted(n, 'heliostat')} diagnosed" + (f", {len(self.lost)} not" if self.lost else "") + "."]
         if n:
             lines.append(
                 f"Median miss of a record, mrad of the mirror's normal, median heliostat: {np.median(before):.2f} as "

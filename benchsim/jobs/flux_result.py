@@ -18,7 +18,7 @@ from benchsim.jobs.shown import Shown
 from benchsim.plant.model import Plant
 from benchsim.plant.moment import Moment, over_limit
 from benchsim.reports import flux_pictures
-from benchsim.reports.quantities import said, short
+from benchsim.reports.quantities import counted, said, short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -240,7 +240,7 @@ class FluxResult(Shown):
 
     def text(self) -> str:
         """Plain sentences for ``summary.txt``."""
-        plain, n = self.as_dict(), len(self.plant.field)
+        plain = self.as_dict()
         of = {
             "none": "without errors of the mounts",
             "stated": "errors of the mounts as stated",
@@ -258,9 +258,9 @@ class FluxResult(Shown):
             days = list(dict.fromkeys(f"{t:%Y-%m-%d}" for t in self.times))
             what = "the year by " if len(days) > 1 else ""
             sky = " under a clear sky" if self.clear else ""
-            when = f"{what}{', '.join(days)}, {len(self.times)} times {self.step:g} h apart{sky}"
+            when = f"{what}{', '.join(days)}, {counted(len(self.times), 'time')} {self.step:g} h apart{sky}"
         unit = self.unit
-        lines = [f"{name}: {n} heliostat{'s' if n != 1 else ''}, {when}; {of}"]
+        lines = [f"{name}: {counted(len(self.plant.field), 'heliostat')}, {when}; {of}"]
         for r in plain["receivers"]:
             on, peak = r[f"on_it_{unit.lower()}"], r[f"peak_{unit.lower()}_m2"]
             lines.append(f"  {r['name']}: {said(on, unit)}, peak {said(peak, unit)}/m²")

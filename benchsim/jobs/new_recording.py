@@ -28,6 +28,7 @@ from benchsim.jobs import plant_files
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.reports.page import form_page
+from benchsim.reports.quantities import counted
 
 FORM = "form.html"
 
@@ -56,7 +57,7 @@ class NewResult(Shown):
         cameras = dict.fromkeys(s.camera for s in self.shots)
         count, dark = len(self.shots), sum(s.dark is not None for s in self.shots)
         lines = [
-            f"{count} exposures, {dark} with a dark picture, of camera {', '.join(cameras)}",
+            f"{counted(count, 'exposure')}, {dark} with a dark picture, of camera {', '.join(cameras)}",
             f'{self.folder}/{FILE}: {len(self.unfilled)} values read "{UNFILLED}" and are yours to fill in',
         ]
         if not self.marks:

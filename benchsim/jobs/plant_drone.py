@@ -27,6 +27,7 @@ from benchsim.plant import files
 from benchsim.plant.model import Plant
 from benchsim.reports import drone_pictures
 from benchsim.reports.pictures import save
+from benchsim.reports.quantities import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -174,17 +175,17 @@ class DroneResult(Shown):
         heights = [float(x) for c in self.clusters for x in ((c.route[0][:, 2] + c.middle[2]) / 1e3)[[0, -1]]]
         minutes = self.pictures * d.each / 60
         lines = [
-            f"{name}: {len(f)} heliostats in {len(self.clusters)} clusters, {self.pictures} pictures "
-            f"{d.pitch / 1e3:g} m apart, {min(heights):.0f} to {max(heights):.0f} m over the origin, {minutes:.0f} min "
-            "of pictures",
+            f"{name}: {counted(len(f), 'heliostat')} in {counted(len(self.clusters), 'cluster')}, "
+            f"{self.pictures} pictures {d.pitch / 1e3:g} m apart, {min(heights):.0f} to {max(heights):.0f} m over the "
+            f"origin, {minutes:.0f} min of pictures",
             f"  expected of each axis (medians): sigma_mean {middle[0]:.2g}, sigma_sys {middle[1]:.2g}, together "
             f"{middle[2]:.2g} mrad; largest {sigma[:, 2].max():.2g} mrad",
         ]
         few = sum(r["glints"] < 2 * FEWEST for r in rows)
         if few:
-            lines.append(f"  {few} heliostats show fewer than {2 * FEWEST} glints; make drone.pitch_m smaller")
-        if any(self.hidden.values()):
-            lines.append(f"  {sum(self.hidden.values())} heliostats stand behind others; look from higher up")
+            lines.append(f"  fewer than {2 * FEWEST} glints of {counted(few, 'heliostat')}; make drone.pitch_m smaller")
+        if hidden := sum(self.hidden.values()):
+            lines.append(f"  hidden behind other mirrors: {counted(hidden, 'heliostat')}; look from higher up")
         if min(heights) < CLIMB + float(f.position[:, 2].max()) / 1e3:
             lines.append("  the drone would come too near to the mirrors; make drone.elevation_deg larger")
         if self.flown is not None:
@@ -198,7 +199,7 @@ class DroneResult(Shown):
                     f"{100 * np.mean(np.abs(pulls) < 1):.0f} %"
                 )
             if said:
-                lines.append(f"  of {said} heliostats nothing could be said, see heliostats.csv")
+                lines.append(f"  of {counted(said, 'heliostat')} nothing could be said, see heliostats.csv")
         return "\n".join([*lines, *self.plant.remarks])
 
     def summary(self) -> str:

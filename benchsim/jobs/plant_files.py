@@ -14,6 +14,7 @@ from benchsim.jobs.output import output_folder
 from benchsim.jobs.shown import Shown
 from benchsim.plant import begun, files
 from benchsim.plant.model import Plant
+from benchsim.reports.quantities import counted
 
 
 @dataclass(frozen=True, repr=False)
@@ -30,8 +31,8 @@ class PlantMade(Shown):
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
         return (
-            f"{self.folder}/{files.NAME}: a plant of {self.heliostats} heliostats in {begun.TABLE}; change what is not "
-            "as yours\n"
+            f"{self.folder}/{files.NAME}: a plant of {counted(self.heliostats, 'heliostat')} in {begun.TABLE}; "
+            "change what is not as yours\n"
             f"next: benchsim check {self.folder}, then benchsim flux {self.folder} --at 2026-06-21T12:00"
         )
 
@@ -71,7 +72,7 @@ class PlantCheck(Shown):
         errors = sorted({*f.errors, *f.sigmas})
         return "\n".join(
             [
-                f"{self.name}: {len(f)} heliostat{'s' if len(f) != 1 else ''}, {f.area.sum() / 1e6:.4g} m² of mirrors, "
+                f"{self.name}: {counted(len(f), 'heliostat')}, {f.area.sum() / 1e6:.4g} m² of mirrors, "
                 f"{far.min():.0f} to {far.max():.0f} m from where they aim: {kinds}",
                 f"light spreads by {' to '.join(dict.fromkeys(f'{x:.2f}' for x in (spread.min(), spread.max())))} mrad "
                 "(1 sigma in one direction), of which "

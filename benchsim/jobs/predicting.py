@@ -23,6 +23,7 @@ from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.reports import mount_pictures
+from benchsim.reports.quantities import counted
 
 TOLD = 20
 """Records of a summary; the file has all."""
@@ -118,7 +119,7 @@ class Prediction(Shown):
         unit, one = ("arcsec", UNITS["mrad"] / UNITS["arcsec"]) if self.sky else ("mrad", 1.0)
         plain = self.as_dict()
         count = len(self.counted)
-        lines = [f"{self.title}: {count} record{'s' if count != 1 else ''} predicted"]
+        lines = [f"{self.title}: {counted(count, 'record')} predicted"]
         for word, key in (("as amended", ""), ("as stated", "stated_")):
             values = [plain[f"{key}{k}_mrad"] for k in ("median", "rms")]
             if None not in values:

@@ -13,6 +13,7 @@ from benchsim.bench.model import Recording
 from benchsim.instruments.bench import effects as bench_effects
 from benchsim.jobs.output import lasting_folder, output_folder
 from benchsim.jobs.progress import Progress, silent
+from benchsim.reports.quantities import counted
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class RenderResult:
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
         count = len(self.recording.exposures)
-        lines = [f"{count} exposure{'s' if count > 1 else ''} rendered with seed {self.seed} into {self.folder}/"]
+        lines = [f"{counted(count, 'exposure')} rendered with seed {self.seed} into {self.folder}/"]
         return "\n".join([*lines, *self.notes, f"next: benchsim run {self.folder}"])
 
 

@@ -126,6 +126,11 @@ def rounded(size: Size) -> str:
     return f"{value:.{digits}f} ± {sigma:.{digits}f} {unit}".rstrip()
 
 
+def counted(number: int, noun: str) -> str:
+    """``1 heliostat``, ``2 heliostats``: of nouns whose plural is an s."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def short(value: float, digits: int) -> str:
     """A number of so many digits, without an exponent."""
     return f"{float(f'{value:.{digits}g}'):.10g}"

@@ -161,7 +161,28 @@ def test_pictures_from_elsewhere_contradict_the_plan(plant, tmp_path):
     (tmp_path / "p.csv").write_text("\n".join(rows))
     result = bs.drone_read(tmp_path / "photos", plant, camera=tmp_path / "camera.toml", positions=tmp_path / "p.csv")
     said = result.summary()
-    assert "beside the planned pattern" in said and "No heliostat shows" in said and "is not found in" in said
+    assert "beside the planned pattern" in said and "No heliostat shows" in said
+    assert "of H1, H2, H3: the mirror is not found in 3 of 3 pictures" in said and "looks beside" not in said
+    assert "fly again" not in said
+
+
+def test_what_many_heliostats_lack_alike_is_said_once(plant, tmp_path):
+    rows = [f"H{k},{9 * k - 45},150,2" for k in range(1, 11)]
+    (plant / "heliostats.csv").write_text("\n".join(["id,east_m,north_m,up_m", *rows]))
+    camera_file(tmp_path / "camera.toml", (64, 48), 100.0)
+    (tmp_path / "photos").mkdir()
+    for k in range(3):
+        picture = Image.fromarray(np.full((48, 64), 90, np.uint8))
+        picture.save(tmp_path / "photos" / f"{k}.jpg", exif=tagged(37.001 + 1e-5 * k, -2.0, 590.0))
+    said = bs.drone_read(tmp_path / "photos", plant, camera=tmp_path / "camera.toml").summary()
+    assert "of 10 heliostats (H1, H2, H3, …): the mirror" in said and said.count("is not found") == 1
+
+
+def test_a_plant_of_one_heliostat_is_said_so(tmp_path):
+    assert "a plant of 1 heliostat in" in run("new", tmp_path / "one", "--plant", "--heliostats", 1).output
+    assert "1 heliostat in 1 cluster, " in bs.drone(tmp_path / "one").summary()
+    assert "1 heliostat, " in bs.detectors(tmp_path / "one", at="2026-06-21T12:00").summary()
+    assert "1 heliostat, " in run("check", tmp_path / "one").output
 
 
 def test_azimuths_err_by_their_sigma_also_high_up(plant):
