@@ -17,13 +17,13 @@ from benchsim import arrays
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_csv, write_text
 from benchsim.jobs.detector_files import FEWEST, read_labels, read_record
-from benchsim.jobs.detector_station import estimates, watch
+from benchsim.jobs.detector_station import estimates, tally, watch
 from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.plant import days, files
 from benchsim.plant.model import Plant
-from benchsim.reports import detector_pictures
+from benchsim.reports import detector_pictures, page, page_detectors
 from benchsim.reports.pictures import save
 from benchsim.reports.quantities import counted
 
@@ -36,6 +36,8 @@ FORMAT = "benchsim-detector-record/1"
 
 CLIPPED = 0.01
 """Part of a record at its very largest value, from which on a detector is clipped: noise alone holds it once."""
+
+UNSUITED = "turn nothing: the record does not suit the plan"
 
 TOLD = 8
 """Heliostats of a summary; the files have all."""
@@ -72,15 +74,14 @@ class RecordResult(Shown):
             "title": self.plant.title,
             "time": self.time.isoformat(),
             "record_s": self.duration,
-            "outcomes": dict(Counter(r["outcome"] for r in self.rows)),
-            "outcome_means": {k: v for k, v in arrays.OUTCOMES.items() if k in {r["outcome"] for r in self.rows}},
+            **tally(self.rows),
             "heliostats": list(self.rows),
             "remarks": list(self.remarks),
         }
 
     def text(self) -> str:
         """Plain sentences for ``summary.txt``."""
-        said = ", ".join(f"{k} {v}" for k, v in Counter(r["outcome"] for r in self.rows).most_common())
+        said = ", ".join(f"{k} {v}" for k, v in tally(self.rows)["outcomes"].items())
         lines = [f"record of {self.duration:.3g} s at {self.time:%Y-%m-%d %H:%M %Z}: {said}"]
         known = [r for r in self.rows if r["raise_mrad"] is not None or r["turn_azimuth_mrad"] is not None]
         known = [r for r in known if self.suits and r["outcome"] != "contradictory"]
@@ -103,10 +104,8 @@ class RecordResult(Shown):
 
     def summary(self) -> str:
         """What a person wants to know, on a terminal."""
-        more = "turn them, record again, read again"
-        if not self.suits:
-            more = "turn nothing: the record does not suit the plan; mend that and read again"
-        return f"{self.text()}{written(self.folder)}\nnext: {more}"
+        more = "turn them, record again, read again" if self.suits else f"{UNSUITED}; mend that and read again"
+        return f"{self.text()}{written(self.folder, page=True)}\nnext: {more}"
 
     def figures(self) -> list[Figure]:
         """Misalignments on the plan."""
@@ -183,9 +182,12 @@ def detectors_read(
         )  # fmt: skip
         if staging is not None:
             write_csv(staging / "measured.csv", list(rows[0]), (r.values() for r in rows), 6)
-            write_text(staging / "record.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
-            save(result.figures()[0], staging / "measured.png")
-            write_text(staging / "summary.txt", result.text() + "\n")
+            plain, text = result.as_dict(), result.text()
+            write_text(staging / "record.json", json.dumps(plain, indent=1, allow_nan=False) + "\n")
+            pictures = {"measured": save(result.figures()[0], staging / "measured.png")}
+            write_text(staging / "summary.txt", text + "\n")
+            shown = page_detectors.read(plain, p.name, text, pictures, "" if result.suits else UNSUITED)
+            write_text(staging / "report.html", page.plant_page(shown))
     progress("done", 1.0)
     return result
 

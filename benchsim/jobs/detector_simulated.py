@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -18,7 +17,7 @@ from benchsim import arrays
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_bytes, write_csv
 from benchsim.fluxes.day import clear_sky
-from benchsim.jobs.detector_station import Watch, estimates
+from benchsim.jobs.detector_station import Watch, estimates, tally
 from benchsim.jobs.plant_flux import KINDS, mount_errors
 from benchsim.plant import days
 
@@ -84,7 +83,7 @@ class Simulated:
         good = np.array([o == "measured" for o in self.outcomes])
         return {
             "time": self.time.isoformat(),
-            "outcomes": dict(Counter(self.outcomes)),
+            **tally(self.rows),
             "pulls_rms": float(np.sqrt(np.mean(pulls**2))) if len(pulls) else None,
             "largest_before_mrad": float(1e3 * np.abs(self.before).max()),
             "largest_after_mrad": float(1e3 * np.abs(self.after).max()),
@@ -95,7 +94,7 @@ class Simulated:
     def lines(self) -> list[str]:
         """For a summary."""
         plain = self.as_dict()
-        said = ", ".join(f"{k} {v}" for k, v in Counter(self.outcomes).most_common())
+        said = ", ".join(f"{k} {v}" for k, v in plain["outcomes"].items())
         out = [f"  record at {self.time:%Y-%m-%d %H:%M}: {said}"]
         if plain["pulls_rms"] is not None:
             out.append(

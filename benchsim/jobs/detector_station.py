@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -177,6 +178,12 @@ def estimates(
         row["says"] = m.says
         out.append(row)
     return out
+
+
+def tally(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """How often each outcome is among `estimates`, the commonest first, and what it means."""
+    counts = dict(Counter(r["outcome"] for r in rows).most_common())
+    return {"outcomes": counts, "outcome_means": {k: arrays.OUTCOMES[k] for k in counts}}
 
 
 def _mrad(value: float) -> float | None:

@@ -19,7 +19,7 @@ from benchsim.jobs.output import written
 from benchsim.jobs.shown import Shown
 from benchsim.plant.model import Plant
 from benchsim.plant.station import DetectorArray, Station
-from benchsim.reports import detector_pictures
+from benchsim.reports import detector_pictures, page, page_detectors
 from benchsim.reports.pictures import save
 from benchsim.reports.quantities import counted
 
@@ -163,10 +163,9 @@ class DetectorsResult(Shown):
     def text(self) -> str:
         """Plain sentences for ``summary.txt``."""
         s, labels, f = self.watch.station, self.watch.labels, self.plant.field
-        name = self.plant.title or self.plant.path.resolve().parent.name
         last = f" to {self.times[-1]:%Y-%m-%d %H:%M}" if len(self.times) > 1 else ""
         lines = [
-            f"{name}: {counted(len(f), 'heliostat')}, {', '.join(_place(a) for a in s.arrays)}; "
+            f"{self.plant.name}: {counted(len(f), 'heliostat')}, {', '.join(_place(a) for a in s.arrays)}; "
             f"{counted(len(self.times), 'time')}, {self.times[0]:%Y-%m-%d %H:%M}{last}",
             f"  both angles to {1e3 * LIMIT:g} mrad: {100 * self.share:.1f} % of heliostats and times"
             + (f" (as stated {100 * self.before:.1f} %)" if self.before is not None else ""),
@@ -200,23 +199,32 @@ class DetectorsResult(Shown):
             step = f"benchsim detectors plan {plant} --record {at} simulates a record, measures, corrects"
         else:
             step = f"benchsim detectors read RECORD {plant} --at TIME evaluates your own record"
-        return self.text() + written(self.folder) + f"\nnext: {step}"
+        return self.text() + written(self.folder, page=True) + f"\nnext: {step}"
 
     def figures(self) -> list[Figure]:
-        """The plan, and what a record told."""
+        """The plan, the arrays, hours, sigma, and what a record told."""
+        return list(self.drawings().values())
+
+    def drawings(self) -> dict[str, Figure]:
+        """The same by the names of their files."""
         f, w = self.plant.field, self.watch
         share = np.zeros(len(f))
         share[w.who] = self.seen.mean(axis=0)
         receiver = self.plant.receivers[w.station.receiver]
-        far = np.linalg.norm(f.position[w.who] - np.array(receiver.centre), axis=1)
-        out = [
-            detector_pictures.plan(
-                f.position, share, w.station, receiver, self.times, self.seen.mean(axis=1) * len(w.who) / len(f),
-                far, np.where(self.seen[..., None], self.sigma, np.nan), w.plant.site.zone.key, 1e3 * LIMIT,
-            )
-        ]  # fmt: skip
-        if self.record is not None:
-            out.append(detector_pictures.loop(self.record.before, self.record.after, self.record.outcomes, 1e3 * LIMIT))
+        places = 1e3 * np.array([row[3:] for row in channels(w)])
+        out = {
+            "plan": detector_pictures.plan(f.position, share, w.station, receiver, places, 1e3 * LIMIT),
+            "arrays": detector_pictures.arrays(w.station, receiver),
+        }
+        if len(self.times) > 1:
+            hourly = self.seen.mean(axis=1) * len(w.who) / len(f)
+            out["hours"] = detector_pictures.hours(self.times, hourly, w.plant.site.zone.key)
+        if self.seen.any():
+            far = np.linalg.norm(f.position[w.who] - np.array(receiver.centre), axis=1)
+            sigma = np.where(self.seen[..., None], self.sigma, np.nan)
+            out["sigma"] = detector_pictures.sigmas(far, sigma, 1e3 * LIMIT)
+        if (r := self.record) is not None:
+            out["loop"] = detector_pictures.loop(r.before, r.after, r.outcomes, 1e3 * LIMIT)
         return out
 
 
@@ -261,14 +269,14 @@ def write(r: DetectorsResult, folder: Path) -> None:
     write_csv(folder / "times.csv", header, body, 4)
     write_csv(folder / "detectors.csv", CHANNELS, channels(r.watch), 7)
     write_text(folder / "detectors.toml", tables_of(r.plant, r.watch.station))
-    first, *more = r.figures()
-    save(first, folder / "plan.png")
-    for figure in more:
-        save(figure, folder / "loop.png")
+    pictures = {name: save(figure, folder / f"{name}.png") for name, figure in r.drawings().items()}
     if r.record is not None:
         r.record.write(folder)
-    write_text(folder / "detectors.json", json.dumps(r.as_dict(), indent=1, allow_nan=False) + "\n")
-    write_text(folder / "summary.txt", r.text() + "\n")
+    plain, text = r.as_dict(), r.text()
+    write_text(folder / "detectors.json", json.dumps(plain, indent=1, allow_nan=False) + "\n")
+    write_text(folder / "summary.txt", text + "\n")
+    shown = page_detectors.planned(plain, r.plant.name, text, pictures)
+    write_text(folder / "report.html", page.plant_page(shown))
 
 
 def _finite(value: float) -> float | None:

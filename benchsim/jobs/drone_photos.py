@@ -28,7 +28,7 @@ from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.plant import files
 from benchsim.plant.model import Plant
-from benchsim.reports import drone_pictures
+from benchsim.reports import drone_pictures, page, page_drone
 from benchsim.reports.pictures import save
 from benchsim.reports.quantities import counted
 
@@ -116,7 +116,7 @@ class DroneReading(Shown):
         """What a person wants to know, on a terminal."""
         known = any(not r["says"] for r in self.rows)
         step = "turn them by as much the other way, and fly again" if known else "mend what is said, and read again"
-        return f"{self.text()}{written(self.folder)}\nnext: {step}"
+        return f"{self.text()}{written(self.folder, page=True)}\nnext: {step}"
 
     def figures(self) -> list[Figure]:
         """The axes on the plan."""
@@ -195,9 +195,11 @@ def drone_read(
                 for f, x in zip(s.frame, s.points, strict=True)
             )
             write_csv(staging / "glints.csv", ["id", "picture", "x_m", "y_m"], body, 6)
-            save(result.figures()[0], staging / "axes.png")
-            write_text(staging / "axes.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
-            write_text(staging / "summary.txt", result.text() + "\n")
+            plain, text = result.as_dict(), result.text()
+            pictures = {"axes": save(result.figures()[0], staging / "axes.png")}
+            write_text(staging / "axes.json", json.dumps(plain, indent=1, allow_nan=False) + "\n")
+            write_text(staging / "summary.txt", text + "\n")
+            write_text(staging / "report.html", page.plant_page(page_drone.read(plain, p.name, text, pictures)))
     progress("done", 1.0)
     return result
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchsim.bench.names import file_name
 from benchsim.bench.writing import write_csv, write_text
 from benchsim.jobs.flux_result import FluxResult
-from benchsim.reports import page
+from benchsim.reports import page, page_flux
 from benchsim.reports.pictures import save
 
 Array = NDArray[np.float64]
@@ -25,18 +25,15 @@ def write(r: FluxResult, folder: Path) -> None:
     shown: dict[str, bytes] = {}
     for start, kind, words in ((0, "flux", "on {}"), (count, "parting", "on {}, Monte Carlo less product")):
         for name, picture in zip(names, pictures[start : start + count], strict=start == 0 or bool(r.carlo)):
-            path = folder / f"{kind}-{file_name(name)}.png"
-            save(picture, path)
-            shown[words.format(name)] = path.read_bytes()
-    save(plan, folder / "field.png")
-    shown["what each mirror brings, from above"] = (folder / "field.png").read_bytes()
+            shown[words.format(name)] = save(picture, folder / f"{kind}-{file_name(name)}.png")
+    shown["what each mirror brings, from above"] = save(plan, folder / "field.png")
     _maps(r, folder)
     header, rows = table(r)
     write_csv(folder / "heliostats.csv", header, rows, 6)
     plain, text = r.as_dict(), r.text()
     write_text(folder / "flux.json", json.dumps(plain, indent=1, allow_nan=False) + "\n")
     write_text(folder / "summary.txt", text + "\n")
-    write_text(folder / "report.html", page.flux_page(plain, text, header, rows, shown))
+    write_text(folder / "report.html", page.plant_page(page_flux.shown(plain, r.plant.name, text, header, rows, shown)))
 
 
 def _maps(r: FluxResult, folder: Path) -> None:

@@ -247,7 +247,6 @@ class FluxResult(Shown):
             "drawn": f"errors of the mounts drawn with seed {self.seed}",
             "diagnosed": "errors of the mounts as diagnosed",
         }[self.errors]
-        name = self.plant.title or self.plant.path.resolve().parent.name
         if self.step is None:
             t = plain["times"][0]
             when = (
@@ -260,7 +259,7 @@ class FluxResult(Shown):
             sky = " under a clear sky" if self.clear else ""
             when = f"{what}{', '.join(days)}, {counted(len(self.times), 'time')} {self.step:g} h apart{sky}"
         unit = self.unit
-        lines = [f"{name}: {counted(len(self.plant.field), 'heliostat')}, {when}; {of}"]
+        lines = [f"{self.plant.name}: {counted(len(self.plant.field), 'heliostat')}, {when}; {of}"]
         for r in plain["receivers"]:
             on, peak = r[f"on_it_{unit.lower()}"], r[f"peak_{unit.lower()}_m2"]
             lines.append(f"  {r['name']}: {said(on, unit)}, peak {said(peak, unit)}/m²")

@@ -25,7 +25,7 @@ from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.plant import files
 from benchsim.plant.model import Plant
-from benchsim.reports import drone_pictures
+from benchsim.reports import drone_pictures, page, page_drone
 from benchsim.reports.pictures import save
 from benchsim.reports.quantities import counted
 
@@ -169,13 +169,12 @@ class DroneResult(Shown):
     def text(self) -> str:
         """Plain sentences for ``summary.txt``."""
         f, d, rows = self.plant.field, self.plant.drone, self.rows()
-        name = self.plant.title or self.plant.path.resolve().parent.name
         sigma = np.array([[r["sigma_mean_mrad"], r["sigma_sys_mrad"], r["sigma_mrad"]] for r in rows])
         middle = np.median(sigma, axis=0)
         heights = [float(x) for c in self.clusters for x in ((c.route[0][:, 2] + c.middle[2]) / 1e3)[[0, -1]]]
         minutes = self.pictures * d.each / 60
         lines = [
-            f"{name}: {counted(len(f), 'heliostat')} in {counted(len(self.clusters), 'cluster')}, "
+            f"{self.plant.name}: {counted(len(f), 'heliostat')} in {counted(len(self.clusters), 'cluster')}, "
             f"{self.pictures} pictures {d.pitch / 1e3:g} m apart, {min(heights):.0f} to {max(heights):.0f} m over the "
             f"origin, {minutes:.0f} min of pictures",
             f"  expected of each axis (medians): sigma_mean {middle[0]:.2g}, sigma_sys {middle[1]:.2g}, together "
@@ -210,16 +209,16 @@ class DroneResult(Shown):
             if self.flown is None
             else f"benchsim drone read PHOTOS {plant} --camera camera.toml evaluates your own pictures"
         )
-        return self.text() + written(self.folder) + f"\nnext: {step}"
+        return self.text() + written(self.folder, page=True) + f"\nnext: {step}"
 
     def figures(self) -> list[Figure]:
-        """The plan, and the errors of a virtual flight."""
+        """The plan, its side view, and the errors of a virtual flight."""
         rows = {r["id"]: r for r in self.rows()}
         f = self.plant.field
         sigma = np.array([rows[i]["sigma_mrad"] for i in f.ids])
         of = np.array([rows[i]["cluster"] for i in f.ids])
         points = [c.route[0] @ ENU + c.middle for c in self.clusters]
-        out = [drone_pictures.plan(f.position, of, sigma, points)]
+        out = [draw(f.position, of, sigma, points) for draw in (drone_pictures.plan, drone_pictures.side)]
         if self.flown is not None and len(self.pulls()):
             out.append(drone_pictures.pulls(self.pulls()))
         return out
@@ -347,9 +346,9 @@ def _write(r: DroneResult, folder: Path) -> None:
     )
     table = r.rows()
     write_csv(folder / "heliostats.csv", list(table[0]), (row.values() for row in table), 9)
-    first, *more = r.figures()
-    save(first, folder / "plan.png")
-    for figure in more:
-        save(figure, folder / "errors.png")
-    write_text(folder / "drone.json", json.dumps(r.as_dict(), indent=1, allow_nan=False) + "\n")
-    write_text(folder / "summary.txt", r.text() + "\n")
+    drawn = zip(("plan", "side", "errors"), r.figures(), strict=False)
+    pictures = {name: save(figure, folder / f"{name}.png") for name, figure in drawn}
+    plain, text = r.as_dict(), r.text()
+    write_text(folder / "drone.json", json.dumps(plain, indent=1, allow_nan=False) + "\n")
+    write_text(folder / "summary.txt", text + "\n")
+    write_text(folder / "report.html", page.plant_page(page_drone.planned(plain, r.plant.name, text, pictures)))

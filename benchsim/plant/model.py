@@ -15,6 +15,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from benchsim.bench.names import printable
 from benchsim.fluxes.heliostat import Target, landing, unit
 from benchsim.instruments.mount.records import toward
 from benchsim.plant.station import DroneFlight, Prisms, Station
@@ -305,6 +306,11 @@ class Plant:
     station: Station | None = None
     prisms: Prisms = dataclasses.field(default_factory=Prisms)
     drone: DroneFlight = dataclasses.field(default_factory=DroneFlight)
+
+    @property
+    def name(self) -> str:
+        """What a person calls it: its title, or its folder."""
+        return self.title or printable(self.path.resolve().parent.name)
 
     @property
     def spread(self) -> Array:

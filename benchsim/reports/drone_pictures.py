@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats
@@ -16,7 +17,7 @@ BLUE, RED, GREY = "#1f78b4", "#d7301f", "#5f6368"
 
 
 def plan(position: Array, cluster: Array, sigma: Array, points: Sequence[Array]) -> Figure:
-    """Plan of a field by expected sigma, its clusters with the patterns that are flown for them, and their side view.
+    """Plan of a field by expected sigma, its clusters with the patterns that are flown for them.
 
     Parameters
     ----------
@@ -29,29 +30,38 @@ def plan(position: Array, cluster: Array, sigma: Array, points: Sequence[Array])
     points : sequence of (frames, 3)
         Of the patterns, east, north, up [mm].
     """
-    figure = Figure(figsize=(12.6, 6.2), layout="constrained")
-    top, side = figure.subplots(1, 2)
-    size = float(np.clip(4000 / len(position), 2, 60))
-    for axes, (a, b) in ((top, (0, 1)), (side, (1, 2))):
-        for k, p in enumerate(points, 1):
-            own = position[cluster == k].mean(axis=0)
-            ends = np.stack([own, p.mean(axis=0)]) / 1e3
-            axes.plot(ends[:, a], ends[:, b], color=f"C{(k - 1) % 10}", linewidth=0.8, alpha=0.6)
-            axes.plot(p[:, a] / 1e3, p[:, b] / 1e3, color=f"C{(k - 1) % 10}", linewidth=0.9)
-            if axes is top:
-                axes.annotate(str(k), p.mean(axis=0)[:2] / 1e3, fontsize=9, ha="center", va="center")
-        shown = axes.scatter(
-            position[:, a] / 1e3, position[:, b] / 1e3, c=sigma, s=size, cmap="viridis", rasterized=True
-        )
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.spines[["top", "right"]].set_visible(False)
-    top.plot(0, 0, "k^", markersize=6)
-    top.set(xlabel="east (m)", ylabel="north (m)")
-    top.set_title("Heliostats, and the pattern that each cluster looks at", fontsize=10, loc="left")
-    side.set(xlabel="north (m)", ylabel="up (m)")
-    side.set_title("The same from the east's side", fontsize=10, loc="left")
-    figure.colorbar(shown, ax=side, label="expected σ of the axis (mrad)")
+    figure, axes = _patterns(position, cluster, sigma, points, (0, 1))
+    for k, p in enumerate(points, 1):
+        x, y = p.mean(axis=0)[:2] / 1e3
+        axes.annotate(str(k), (x, y), (0, 8), textcoords="offset points", fontsize=9, ha="center", va="center")
+    axes.plot(0, 0, "k^", markersize=6)
     return figure
+
+
+def side(position: Array, cluster: Array, sigma: Array, points: Sequence[Array]) -> Figure:
+    """As `plan`, seen from the east."""
+    return _patterns(position, cluster, sigma, points, (1, 2))[0]
+
+
+def _patterns(
+    position: Array, cluster: Array, sigma: Array, points: Sequence[Array], on: tuple[int, int]
+) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(7.2, 6.0), layout="constrained")
+    axes = figure.add_subplot()
+    a, b = on
+    for k, p in enumerate(points, 1):
+        ends = np.stack([position[cluster == k].mean(axis=0), p.mean(axis=0)]) / 1e3
+        axes.plot(ends[:, a], ends[:, b], color=f"C{(k - 1) % 10}", linewidth=0.8, alpha=0.6)
+        axes.plot(p[:, a] / 1e3, p[:, b] / 1e3, color=f"C{(k - 1) % 10}", linewidth=0.9)
+    size = float(np.clip(4000 / len(position), 2, 60))
+    x, y = position[:, a] / 1e3, position[:, b] / 1e3
+    shown = axes.scatter(x, y, c=sigma, s=size, cmap="viridis", rasterized=True)
+    figure.colorbar(shown, ax=axes, label="expected σ of the axis (mrad)")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.spines[["top", "right"]].set_visible(False)
+    names = ("east (m)", "north (m)", "up (m)")
+    axes.set(xlabel=names[a], ylabel=names[b])
+    return figure, axes
 
 
 def pulls(values: Array) -> Figure:

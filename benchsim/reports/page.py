@@ -42,7 +42,7 @@ import jinja2
 from markupsafe import Markup
 
 from benchsim.bench.complaints import UNFILLED
-from benchsim.reports import page_field, page_flux, page_plots, page_trial, page_words, vocabulary
+from benchsim.reports import page_field, page_plots, page_trial, page_words, vocabulary
 
 FORMAT = "benchsim-page/1"
 
@@ -157,12 +157,9 @@ def field_page(field: Mapping[str, Any], title: str, shared: Sequence[str]) -> s
     )
 
 
-def flux_page(
-    flux: Mapping[str, Any], summary: str, header: Sequence[str], rows: Sequence[Sequence[Any]],
-    pictures: Mapping[str, bytes],
-) -> str:  # fmt: skip
-    """HTML of a plant's flux, of what `page_flux.shown` takes."""
-    return _environment().get_template("flux.html.j2").render(**page_flux.shown(flux, summary, header, rows, pictures))
+def plant_page(shown: Mapping[str, Any]) -> str:
+    """HTML of a plant's flux, detectors or drone, of what `page_plant.shown` gives."""
+    return _environment().get_template("plant.html.j2").render(**shown)
 
 
 def form_page(title: str, folder: str, file: str, form: Mapping[str, Any], column: int) -> str:

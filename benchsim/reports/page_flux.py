@@ -2,44 +2,41 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from markupsafe import Markup
-
+from benchsim.reports import page_plant
+from benchsim.reports.page_plant import Column
 from benchsim.reports.quantities import said
 
-MOST_ROWS = 500
-"""Heliostats of the table: more would make the page slow to sort on a phone; the CSV file has all."""
-
-HEADS = {
-    "id": ("heliostat", None),
-    "receiver": ("aims at", None),
-    "east_m": ("east (m)", 1),
-    "north_m": ("north (m)", 1),
-    "power_kw": ("power (kW)", 2),
-    "energy_kwh": ("energy (kWh)", 1),
-    "cosine": ("cosine", 3),
-    "shaded": ("shaded", 3),
-    "blocked": ("blocked", 3),
-    "spillage": ("spilled", 3),
-    "image_rms_m": ("image rms (m)", 2),
-    "monte_carlo_power_kw": ("Monte Carlo (kW)", 2),
-    "monte_carlo_energy_kwh": ("Monte Carlo (kWh)", 1),
-    "lost_kwh": ("errors lose (kWh)", 2),
-    "over_limit_kwh": ("put above a limit (kWh)", 2),
-    "cost_sigma_kwh": ("± (kWh)", 2),
-    "recalibrated_kwh": ("calibration brings back (kWh)", 2),
-    "reaimed_kwh": ("a shifted aim brings back (kWh)", 2),
-    "reaim_along_m": ("shift along (m)", 2),
-    "reaim_up_m": ("shift up (m)", 2),
+COLUMNS = {
+    "id": Column("heliostat"),
+    "receiver": Column("aims at"),
+    "lost_kwh": Column("errors lose (kWh)", 2, "cost_sigma_kwh"),
+    "over_limit_kwh": Column("put above a limit (kWh)", 2),
+    "recalibrated_kwh": Column("calibration brings back (kWh)", 2),
+    "reaimed_kwh": Column("a shifted aim brings back (kWh)", 2),
+    "reaim_along_m": Column("shift along (m)", 2),
+    "reaim_up_m": Column("shift up (m)", 2),
+    "power_kw": Column("power (kW)", 2),
+    "energy_kwh": Column("energy (kWh)", 1),
+    "monte_carlo_power_kw": Column("Monte Carlo (kW)", 2),
+    "monte_carlo_energy_kwh": Column("Monte Carlo (kWh)", 1),
+    "cosine": Column("cosine", 3),
+    "shaded": Column("shaded", 3),
+    "blocked": Column("blocked", 3),
+    "spillage": Column("spilled", 3),
+    "image_rms_m": Column("image rms (m)", 2),
+    "east_m": Column("east (m)", 1),
+    "north_m": Column("north (m)", 1),
 }
-"""Columns that are shown, with their decimals; those in which a plant has but one value are left out."""
+"""What the errors cost first, as a phone shows three or four; those in which a plant has but one value are left out."""
+
+CAUSES = {"says": Column("simplified"), "power": Column("power (%)", 2), "peak": Column("peak (%)", 2)}
 
 
 def shown(
-    flux: Mapping[str, Any], summary: str, header: Sequence[str], rows: Sequence[Sequence[Any]],
+    flux: Mapping[str, Any], name: str, summary: str, header: Sequence[str], rows: Sequence[Sequence[Any]],
     pictures: Mapping[str, bytes],
 ) -> dict[str, Any]:  # fmt: skip
     """What the template is given.
@@ -48,39 +45,44 @@ def shown(
     ----------
     flux : mapping
         ``flux.json``.
+    name : str
+        Of the plant.
     summary : str
-        ``summary.txt``; its first line is the title, the others follow.
+        ``summary.txt``.
     header, rows : sequences
         Of ``heliostats.csv``.
     pictures : mapping of str to bytes
         PNG by caption.
     """
-    first, *rest = summary.splitlines()
     several = len(flux["receivers"]) > 1
-    limited = "limits" in flux
-    left_out = {name for name, there in (("receiver", several), ("over_limit_kwh", limited)) if not there}
-    columns = [k for k, name in enumerate(header) if name in HEADS and name not in left_out]
-    heads = [HEADS[header[k]] for k in columns]
+    left_out = {k for k, there in (("receiver", several), ("over_limit_kwh", "limits" in flux)) if not there}
     unit = "kw" if flux["step_h"] is None else "kwh"
-    return {
-        "flux": flux,
-        "first": first,
-        # What is indented twice, and what leads to it, has a table of its own.
-        "rest": [line for line in rest if not line.startswith("    ") and not line.endswith(":")],
-        "total": said(sum(r[f"on_it_{unit}"] for r in flux["receivers"]), {"kw": "kW", "kwh": "kWh"}[unit]),
-        "losses": [(k.replace("_", " "), 100 * v) for k, v in flux["losses"].items()],
-        "heads": [(words, decimals is not None) for words, decimals in heads],
-        "rows": [
-            [_cell(row[k], decimals) for k, (_, decimals) in zip(columns, heads, strict=True)]
-            for row in rows[:MOST_ROWS]
-        ],
-        "left_away": max(0, len(rows) - MOST_ROWS),
-        "pictures": [
-            (caption, Markup("data:image/png;base64," + b64encode(png).decode("ascii")))
-            for caption, png in pictures.items()
-        ],
-    }
+    total = said(sum(r[f"on_it_{unit}"] for r in flux["receivers"]), {"kw": "kW", "kwh": "kWh"}[unit])
+    return page_plant.shown(
+        name,
+        "flux",
+        f"{total} on the receiver{'s' if several else ''}",
+        summary,
+        pictures=pictures,
+        maps="On the receivers and in the field",
+        sections=[_engines(flux["partings"])] if "partings" in flux else [],
+        heliostats=page_plant.table(COLUMNS, [dict(zip(header, row, strict=True)) for row in rows], left_out),
+        order="The costliest first." if "rank" in flux else "",
+    )
 
 
-def _cell(value: Any, decimals: int | None) -> str:
-    return "" if value is None else str(value) if decimals is None else f"{value:.{decimals}f}"
+def _engines(partings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    tables = []
+    for p in partings:
+        power = p["power_kw"]
+        caption = (
+            f"{p['receiver']}: product {power['product']:.4g} kW, Monte Carlo {power['monte_carlo']:.4g} ± "
+            f"{power['sigma']:.2g} kW"
+        )
+        rows = [c | {k: 100 * c[k] for k in ("power", "peak")} for c in p["causes"]]
+        tables.append(page_plant.table(CAUSES, rows, caption=caption))
+    says = (
+        "The product of error functions simplifies; Monte Carlo was made once more with each of its simplifications, "
+        "one after the other."
+    )
+    return page_plant.section("engines", "Where the engines part", *tables, says=says)

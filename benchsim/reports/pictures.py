@@ -52,7 +52,8 @@ class Trace2D:
     caption: str
 
 
-def save(figure: Figure, path: Path, dpi: int = 130) -> None:
+def save(figure: Figure, path: Path, dpi: int = 130) -> bytes:
+    """Write a figure as PNG, and return what was written."""
     for text in figure.findobj(Text):
         # A dollar in a name begins no formula; powers on logarithmic axes are Matplotlib's own.
         if "$" in text.get_text() and "\\mathdefault" not in text.get_text():
@@ -60,6 +61,7 @@ def save(figure: Figure, path: Path, dpi: int = 130) -> None:
     picture = io.BytesIO()
     figure.savefig(picture, dpi=dpi, format="png", facecolor="white")
     write_bytes(path, picture.getvalue())
+    return picture.getvalue()
 
 
 def _plain(axes: Axes) -> None:
