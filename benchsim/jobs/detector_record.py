@@ -137,7 +137,8 @@ def detectors_read(
         each, in that order. In any unit.
     plant : path
     output : path, optional
-        Folder for ``record.json``, ``measured.csv``, a picture and ``summary.txt``; default: nothing is written.
+        Folder for ``record.json``, ``measured.csv``, a picture, ``report.html`` and ``summary.txt``;
+        default: nothing is written.
     at : str
         Time of the record's middle.
     labels : path, optional

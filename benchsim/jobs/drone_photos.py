@@ -144,7 +144,8 @@ def drone_read(
         Folder of the pictures: JPEG, PNG or TIFF, as the sensor has them.
     plant : path
     output : path, optional
-        Folder for ``axes.json``, ``axes.csv``, ``glints.csv``, a picture and ``summary.txt``; default: nothing.
+        Folder for ``axes.json``, ``axes.csv``, ``glints.csv``, a picture, ``report.html`` and
+        ``summary.txt``; default: nothing.
     camera : path
         ``camera.toml`` of `calibrate`.
     positions : path, optional

@@ -67,8 +67,8 @@ def detectors(
     plant : path
         ``plant.toml``, or the folder that holds it.
     output : path, optional
-        Folder for ``detectors.json``, ``heliostats.csv``, ``times.csv``, ``detectors.csv``, pictures and
-        ``summary.txt``; default: nothing is written.
+        Folder for ``detectors.json``, ``heliostats.csv``, ``times.csv``, ``detectors.csv``, pictures,
+        ``report.html`` and ``summary.txt``; default: nothing is written.
     at, day, year : optional
         A time of ISO 8601, a date, or a year, of which equinoxes and solstices are taken; default the year 2026.
     step : float

@@ -241,8 +241,8 @@ def drone(
     plant : path
         ``plant.toml``, or the folder that holds it.
     output : path, optional
-        Folder for ``drone.json``, ``waypoints.csv``, ``flight.kml``, ``heliostats.csv``, pictures and ``summary.txt``;
-        default: nothing is written.
+        Folder for ``drone.json``, ``waypoints.csv``, ``flight.kml``, ``heliostats.csv``, pictures, ``report.html`` and
+        ``summary.txt``; default: nothing is written.
     virtual : bool
         Fly it: errors drawn, glints computed, axes estimated.
     seed : int

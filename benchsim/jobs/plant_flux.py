@@ -59,7 +59,8 @@ def flux(
     plant : path
         ``plant.toml``, or the folder that holds it.
     output : path, optional
-        Folder for ``flux.json``, ``heliostats.csv``, maps, pictures and ``summary.txt``; default: nothing is written.
+        Folder for ``flux.json``, ``heliostats.csv``, maps, pictures, ``report.html`` and ``summary.txt``;
+        default: nothing is written.
     at : str, optional
         A time of ISO 8601; without a zone in the site's.
     day : str, optional

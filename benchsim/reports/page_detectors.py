@@ -121,6 +121,9 @@ def read(
         What keeps the record from being used, if anything does.
     """
     measured, count = plain["outcomes"].get("measured", 0), len(plain["heliostats"])
+    means = plain["outcome_means"]
+    # A sentence that is but what the outcome means stands above, once.
+    rows = [r | {"says": "" if r["says"] == means[r["outcome"]] else r["says"]} for r in plain["heliostats"]]
     return page_plant.shown(
         name,
         "a record of detectors",
@@ -129,9 +132,7 @@ def read(
         against=plain["remarks"],
         pictures={CAPTIONS[k]: png for k, png in pictures.items()},
         sections=[_outcomes(plain)],
-        heliostats=page_plant.table(
-            {"id": Column("heliostat"), **MEASURED, "says": Column("says")}, plain["heliostats"]
-        ),
+        heliostats=page_plant.table({"id": Column("heliostat"), **MEASURED, "says": Column("says")}, rows),
     )
 
 

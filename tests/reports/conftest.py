@@ -5,7 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from chromium import browser  # noqa: F401 -- a fixture of several modules
+from PIL import Image
 
+import benchsim as bs
+from benchsim.bench.model import Camera
+from benchsim.bench.writing import write_text
+from benchsim.calibration.record import write_camera
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 from benchsim.diagnosis.result import (
     Class,
@@ -19,7 +25,7 @@ from benchsim.diagnosis.result import (
     SplitBy,
     Stretch,
 )
-from benchsim.reports import page, page_trial
+from benchsim.reports import page, page_drone, page_trial
 
 ELEMENT = {
     "canting": "mirror", "pivot-offset": "mirror", "beam-direction": "source", "astigmatism": "source",
@@ -183,3 +189,73 @@ def trial():
                    for k in range(1, 10)],
         "verified": True, "commands": ["benchsim trial run --cases 9 --seed 7"],
     }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def plant_pages(tmp_path_factory):
+    """Pages of a plant of four by what they are of: as commands write them, and axes read of pictures made by hand."""
+    folder = tmp_path_factory.mktemp("plant")
+    (folder / "photos").mkdir()
+    (folder / "plant.toml").write_text(PLANT, encoding="utf-8")
+    rows = [f"H{k},{e},{n},2" for k, (e, n) in enumerate(((0, 150), (10, 151), (-9, 154), (1, 160)), 1)]
+    (folder / "heliostats.csv").write_text("\n".join(["id,east_m,north_m,up_m", *rows]))
+    places = ["name,east_m,north_m,up_m"]
+    for k in range(3):
+        Image.fromarray(np.full((48, 64), 90, np.uint8)).save(folder / "photos" / f"{k}.jpg")
+        places.append(f"{k}.jpg,{k},400,90")
+    (folder / "p.csv").write_text("\n".join(places))
+    camera = Camera("A", (64, 48), 100.0, (31.5, 23.5), bit_depth=8, gamma="srgb", saturation_level=255.0)
+    lens = folder / "camera.toml"
+    write_camera(lens, camera, (1e-4, 0.1, 1e-3), 1e-4 * np.eye(8), photographs=12, marks=300, rms=0.05, board="m.csv")
+    noon, out = "2026-03-21T12:00", {n: folder / n for n in ("detectors", "record", "drone", "axes", "nothing", "flux")}
+    bs.detectors(folder, out["detectors"], day="2026-03-21", step=3.0, record=noon)
+    bs.detectors_read(out["detectors"] / "record.wav", folder, out["record"], at=noon)
+    bs.drone(folder, out["drone"], virtual=True)
+    bs.drone_read(folder / "photos", folder, out["nothing"], camera=lens, positions=folder / "p.csv")
+    bs.flux(folder, out["flux"], day="2026-03-21", step=4.0, cells=10, errors="drawn", rank=True)
+    out["axes"].mkdir()
+    known = {
+        "glints": 41, "not_found_in": 2, "outliers": 1, "azimuth_off_mrad": -0.4, "sigma_azimuth_off_mrad": 0.25,
+        "elevation_off_mrad": 1.2, "sigma_elevation_off_mrad": 0.21, "sigma_ad_mrad": 0.8,
+        "sigma_ad_expected_mrad": 0.7, "sigma_mean_mrad": 0.12, "sigma_sys_mrad": 0.17, "sigma_mrad": 0.21,
+        "p_normal": 0.4, "says": "",
+    }  # fmt: skip
+    lacking = dict.fromkeys(known) | {
+        "glints": 2,
+        "says": "the heliostat shows 2 glints, fewer than 3: fly finer",
+    }
+    plain = {
+        "heliostats": [{"id": "H1"} | known, {"id": "H2"} | lacking, {"id": "H3"} | known | {"glints": 7}],
+        "remarks": ["2 of 9 pictures lie beside the planned pattern."],
+    }
+    text = "cluster 1: 9 pictures, axes of 2 of 3 heliostats\n" + plain["remarks"][0]
+    pictures = {"axes": (out["nothing"] / "axes.png").read_bytes()}
+    write_text(out["axes"] / "report.html", page.plant_page(page_drone.read(plain, "Four", text, pictures)))
+    return {n: f / "report.html" for n, f in out.items()}
+
+
+PLANT = """\
+format = "benchsim-plant/1"
+title = "Four: <b>bold</b>"
+[site]
+latitude_deg = 37.0
+longitude_deg = -2.0
+time_zone = "Europe/Madrid"
+[[receiver]]
+name = "receiver"
+centre_m = [0.0, 0.0, 40.0]
+width_m = 2.0
+height_m = 2.0
+[optics]
+slope_mrad = 1.0
+reflectance = 0.9
+[heliostats]
+width_m = 3.2
+height_m = 2.6
+facets = [2, 2]
+[errors]
+IA_sigma_mrad = 1.0
+IE_sigma_mrad = 1.0
+[drone]
+pitch_m = 0.7
+"""
