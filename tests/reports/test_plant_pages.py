@@ -1,6 +1,7 @@
 """The pages of a plant as text: the sentences of the summary, what contradicts it first, and no address but data."""
 
 import re
+from html import unescape
 
 import pytest
 
@@ -11,9 +12,7 @@ WRITTEN = ("detectors", "record", "drone", "nothing", "flux")
 
 
 def words(html):
-    return " ".join(
-        re.sub("<[^>]*>", " ", html).replace("&#39;", "'").replace("&lt;", "<").replace("&gt;", ">").split()
-    )
+    return " ".join(unescape(re.sub("<[^>]*>", " ", html)).split())
 
 
 @pytest.mark.parametrize("name", WRITTEN)
