@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import floor, isfinite, log10
+from typing import TYPE_CHECKING
 
 from benchsim.bench.units import IN_TEXT
-from benchsim.diagnosis.result import Size
+
+if TYPE_CHECKING:
+    # The diagnosis is heavy to load, and plants say their numbers without it.
+    from benchsim.diagnosis.result import Size
 
 WORDS: Mapping[str, str] = {
     "facets": "share of the facets",
