@@ -177,9 +177,9 @@ def test_both_engines_say_where_they_part_and_why(tmp_path, monkeypatch):
     (parting,) = plain["partings"]
     assert parting["power_kw"]["product"] == pytest.approx(parting["power_kw"]["monte_carlo"], rel=0.02)
     assert [c["says"].split()[0] for c in parting["causes"]] == ["slopes", "the"]
-    # Of the paper's slopes the product's peak is 3 % low, more than the rays' noise; the power stays.
+    # Twelve seeds of many rays: by the slopes the peak is 3.20 ± 0.13 % low; a false alarm in 10⁴.
     slopes = parting["causes"][0]
-    assert slopes["peak"] < -3 * slopes["peak_sigma"] < 0 and abs(slopes["power"]) < 0.005
+    assert abs(slopes["peak"] + 0.032) < 4 * slopes["peak_sigma"] < 0.1 and abs(slopes["power"]) < 0.005
     total = np.prod([1 + c["peak"] for c in parting["causes"]])
     assert total == pytest.approx(parting["peak_kw_m2"]["product"] / parting["peak_kw_m2"]["monte_carlo"], rel=1e-9)
     cells = list(csv.DictReader((out / "flux-target.csv").open()))
