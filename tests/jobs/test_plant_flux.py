@@ -132,6 +132,7 @@ def test_errors_are_as_diagnosed_where_a_diagnosis_is_named(tmp_path):
     ("words", "says"),
     [
         (["--at", "noon"], "--at: 'noon' is no time"),
+        (["--at", "2026-06-21"], "--at: '2026-06-21' is no time from 1950 to 2100; write it like 2026-06-21T12:00"),
         (["--at", "2026-06-21T01:00"], "below the horizon"),
         (["--day", "2026-02-30"], "--day, --year: '2026-02-30' is no date"),
         (["--day", "2026-06-21", "--step", "20"], "--step: 20 h is out of range"),
