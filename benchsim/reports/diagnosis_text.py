@@ -7,13 +7,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import exp, isfinite, log
 from textwrap import fill
+from typing import TYPE_CHECKING
 
-from benchsim.diagnosis.problem import Effect
-from benchsim.diagnosis.result import Diagnosis, Found, Size, SplitBy
 from benchsim.reports.conclusion import CONFIDENCE, gathered, headline, leftover, listed
 from benchsim.reports.limits_text import blind_text, limit_rows, limit_text, shapes_text
 from benchsim.reports.quantities import rounded, words_of
 from benchsim.reports.vocabulary import BENCH, Vocabulary
+
+if TYPE_CHECKING:
+    # The diagnosis is heavy to load, and pages of plants are made without it.
+    from benchsim.diagnosis.problem import Effect
+    from benchsim.diagnosis.result import Diagnosis, Found, Size, SplitBy
 
 WIDTH = 100
 
@@ -160,19 +164,23 @@ def _headline(d: Diagnosis, words: Vocabulary) -> str:
     return _wrapped(first.upper() + rest + tail + (f" {left}" if left else ""))
 
 
+def _size(size: Size) -> str:
+    return rounded(size.value, size.sigma, size.unit)
+
+
 def _found(f: Found, about: About) -> str:
     lines = [f"{f.name} ({f.element}; {CONFIDENCE[f.confidence]}; probability {percent(f.probability)})"]
     lines.append(_wrapped(f.says, "  "))
     sizes = []
     for name, size in f.parameters.items():
         word, moved = words_of(name), about.moves.get(name)
-        told = f"{name} = {rounded(size)}" if word == name else f"{word} ({name}) {rounded(size)}"
-        sizes.append(told + (f", which is {rounded(moved[0])} {moved[1]}" if moved else ""))
+        told = f"{name} = {_size(size)}" if word == name else f"{word} ({name}) {_size(size)}"
+        sizes.append(told + (f", which is {_size(moved[0])} {moved[1]}" if moved else ""))
     apart = "; " if about.moves.keys() & f.parameters.keys() else ", "
     lines.append(_wrapped(f"Size: {apart.join(sizes)} (1 sigma).", "  "))
     if f.name in about.moves:
         size, how = about.moves[f.name]
-        lines.append(_wrapped(f"Alone it moves the trace by {rounded(size)} {how}.", "  "))
+        lines.append(_wrapped(f"Alone it moves the trace by {_size(size)} {how}.", "  "))
     if f.remedy:
         lines.append(_wrapped(f"{about.words.remedy}: {f.remedy}", "  "))
     return "\n".join(lines)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from math import inf, log10
 from typing import Any
 
-from benchsim.diagnosis.result import Size
 from benchsim.reports.conclusion import CONFIDENCE, SETTINGS, gathered, headline, leftover, listed
 from benchsim.reports.diagnosis_text import (
     OVERSTATED,
@@ -187,7 +186,7 @@ def _fitted(d: Json, extra: Json) -> list[tuple[str, str, str, str, float | None
         off, stated, unit = "–", "–", ""
         if prior is not None and pull is not None:
             factor, unit = readable(prior["unit"], prior["sigma"])
-            off, stated = rounded(Size(factor * pull * prior["sigma"], factor * prior["sigma"], "")).split(" ± ")
+            off, stated = rounded(factor * pull * prior["sigma"], factor * prior["sigma"]).split(" ± ")
         rows.append((words_of(name), minus(off), stated, unit, pull))
     return rows
 
@@ -269,9 +268,7 @@ def ended(sentence: str) -> str:
 
 
 def _size(s: Json, unit: bool = True) -> str:
-    return minus(
-        rounded(Size(s["value"], float("nan") if s["sigma"] is None else s["sigma"], s["unit"] if unit else ""))
-    )
+    return minus(rounded(s["value"], float("nan") if s["sigma"] is None else s["sigma"], s["unit"] if unit else ""))
 
 
 def _separation(s: Json) -> str:
