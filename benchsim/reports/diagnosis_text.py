@@ -51,8 +51,6 @@ class About:
     words : Vocabulary
     moves : mapping of str to (Size, str)
         What an effect of that name, or of a parameter of that name alone, moves, and where or how that is measured.
-    kinds : sequence of str
-        Kind of datum that shows each of the diagnosis' stretches.
     """
 
     title: str
@@ -66,7 +64,6 @@ class About:
     amended: str = ""
     words: Vocabulary = BENCH
     moves: Mapping[str, tuple[Size, str]] = field(default_factory=dict)
-    kinds: Sequence[str] = ()
 
 
 def summary(d: Diagnosis, about: About) -> str:
@@ -90,7 +87,7 @@ def summary(d: Diagnosis, about: About) -> str:
     parts.append(_headline(d, words))
     parts += [_found(f, about) for f in d.effects]
     parts += list(_classes(d, about))
-    parts += list(_where(d, words, about.kinds))
+    parts += list(_where(d, words))
     parts += list(_better(d, words))
     parts += list(_next(d))
     parts += list(_limits(d, about))
@@ -230,7 +227,7 @@ def shown_text(by_kind: Mapping[str, float], words: Vocabulary, stretches: int) 
     return f"It shows in {each}, all {words.one}s together{alone}."
 
 
-def _where(d: Diagnosis, words: Vocabulary, kinds: Sequence[str]) -> Iterator[str]:
+def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     where = d.location
     if where is None:
         return
@@ -247,9 +244,9 @@ def _where(d: Diagnosis, words: Vocabulary, kinds: Sequence[str]) -> Iterator[st
     shown = shown_text(where.by_kind, words, len(where.along_trace))
     if shown:
         lines.append(_wrapped(shown, "  "))
-    told = [f", {words.kinds.get(k, (k, ''))[0]}" for k in kinds] or [""] * len(where.along_trace)
-    for s, of in sorted(zip(where.along_trace, told, strict=True), key=lambda pair: -pair[0].z)[:6]:
-        lines.append(f"  {s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace, {s.z:.1f} sigma{of}")
+    for s in sorted(where.along_trace, key=lambda s: -s.z)[:6]:
+        place = f"{s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace"
+        lines.append(f"  {place}, {s.z:.1f} sigma, {words.kinds.get(s.kind, (s.kind, ''))[0]}")
     if len(where.along_trace) > 6:
         lines.append(f"  and weaker stretches: {len(where.along_trace) - 6} (diagnosis.json lists them)")
     if d.law is not None:

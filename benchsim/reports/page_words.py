@@ -64,7 +64,7 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
         "seen": [_limit(k, v) for k, v in limits if v["reachable"]],
         "blind": listed(blind_text((k.split(".")[0], v["parameter"]) for k, v in limits if not v["reachable"])),
         "most": most(d, extra),
-        "stretches": _stretches(d, extra, words),
+        "stretches": _stretches(d, words),
         "moves": extra.get("moves", {}),
         "notes": gathered([*d["remarks"], *d["notes"]]),
         "fitted": _fitted(d, extra),
@@ -95,12 +95,11 @@ def most(d: Json, extra: Json) -> dict[str, Any] | None:
     return {"kind": kind, "name": name, "unit": unit, "sigma": d["location"]["by_kind"][kind]}
 
 
-def _stretches(d: Json, extra: Json, words: Vocabulary) -> list[tuple[Json, str]]:
+def _stretches(d: Json, words: Vocabulary) -> list[tuple[Json, str]]:
     """The stretches, the strongest first, each with the words of the kind of datum that shows it."""
     found = d["location"]["along_trace"] if d["location"] else []
-    kinds = [words.kinds.get(k, (k, ""))[0] for k in extra.get("stretches") or []]
-    told = kinds if len(kinds) == len(found) else [""] * len(found)
-    return sorted(zip(found, told, strict=True), key=lambda pair: -pair[0]["z"])
+    told = [(s, words.kinds.get(s.get("kind", ""), ("", ""))[0]) for s in found]
+    return sorted(told, key=lambda pair: -pair[0]["z"])
 
 
 def _law(d: Json, words: Vocabulary) -> str:

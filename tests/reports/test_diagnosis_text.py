@@ -160,5 +160,5 @@ def test_a_negative_excess_is_explained(made):
 
 
 def test_stretches_name_their_observable(made):
-    text = summary(made.diagnosis, about(made, kinds=("f", "c")))
+    text = summary(made.diagnosis, about(made))
     assert "  001.png: from 10 to 120 mm along the trace, 7.1 sigma, logarithm of the flux\n" in text
