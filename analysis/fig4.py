@@ -6,6 +6,10 @@ choice of near ones (a)–(c) and far ones (d)–(f), the first that of its Fig.
 not printed either: the sun of Fig. 7, azimuth 101° at elevation 50° and 260° at 48°, is that of June 21 at
 40.4° ± 0.4° north (half a degree of rounding in each angle).
 
+The curves are those of ``benchsim flux`` on the shipped plant ``six``, these heliostats: where images land for errors
+IE and CA with the other sign, which turn about the axes of the two cylinders; it has no r. With ``--vector`` they are
+the vector model's, of other places, suns, sources of error and r if these are given.
+
 The table gives, at the receiver's centre, the exact conic of each curve with r neglected: kind, half-angle of the cone,
 radius of curvature. No chance enters.
 """
@@ -16,7 +20,7 @@ import argparse
 import datetime
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +30,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+import benchsim as bs
 from benchsim.bench import conic
 from benchsim.bench.place import ideal_normal
+from benchsim.plant import days, files
+from benchsim.plant.model import Plant
+from benchsim.plant.moment import Moment
 from benchsim.vector import (
     Cylinder,
     cone,
@@ -42,11 +50,19 @@ from benchsim.vector import (
 )
 
 Array = NDArray[np.float64]
+Curves = dict[tuple[str, int, int], tuple[Array, ...]]
+"""A curve's points and its dots [m] by cylinder, heliostat and hour."""
 
 LOCATIONS = ("150,-16,-143", "80,150,-143", "100,-100,-143", "800,-350,-143", "650,450,-143", "900,0,-143")
 COLOURS = {"elevation": "#d7301f", "azimuth": "#1f78b4"}
 STYLES = ("-", (0, (5, 2)), (0, (1, 1.4)))
 DOT = 12e-3
+
+SIX = files.read(Path(__file__).resolve().parents[1] / "scenes" / "plants" / "six")
+NAMES = {"elevation": "IE", "azimuth": "CA"}
+"""The mount's error that turns about the axis of a cylinder, the other way round."""
+ERRORS = 0.6 * np.linspace(-1, 1, 81) ** 3
+"""Of a curve by the command [rad]: dense where a far heliostat's window is."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +163,43 @@ def dress(axes: Axes, f: Field, index: int, half: float) -> None:
     axes.set_title(label.replace("-", "−"), fontsize=9.5, loc="left")
 
 
+def misaligned(stands_for: str, error: float) -> Plant:
+    """The shipped plant, every mirror misaligned by ``error`` [rad]."""
+    count = len(SIX.field)
+    return replace(SIX, field=replace(SIX.field, errors={NAMES[stands_for]: np.full(count, -error)}))
+
+
+def landed(moments: Sequence[Moment]) -> Array:
+    """Y, Z [m] of the images, (moments, heliostats, 2); along the receiver is east, Y west."""
+    return np.array([m.landing for m in moments]) / 1e3 * [-1, 1]
+
+
+def solar_hours(suns: Array) -> Array:
+    """Of suns (m, 3), east-north-up, at the shipped plant."""
+    e, n, u = suns.T
+    latitude = SIX.site.latitude
+    return np.asarray(12 + np.degrees(np.arctan2(-e, u * math.cos(latitude) - n * math.sin(latitude))) / 15)
+
+
+def clock_at(date: datetime.date, hour: float) -> datetime.datetime:
+    """The time at the shipped plant's site of a solar hour, to a second."""
+    noon = days.at(f"{date}T12:00", SIX.site)
+    late = float(solar_hours(days.suns([noon], SIX.site))[0]) - 12
+    return noon + datetime.timedelta(seconds=round(3600 * (hour - 12 - late)))
+
+
+def by_command(date: datetime.date, hours: Sequence[float], errors: Array) -> dict[str, Array]:
+    """Y, Z [m] per cylinder, (heliostats, hours, errors, 2), by ``benchsim flux``; nan where nothing arrives."""
+    times = [f"{clock_at(date, hour):%Y-%m-%dT%H:%M:%S}" for hour in hours]
+
+    def at(plant: Plant, time: str) -> Moment:
+        return bs.flux(plant, at=time, cells=10, irradiance=900.0).moments[0]
+
+    plants = {s: [misaligned(s, error) for error in errors] for s in COLOURS}
+    found = {s: np.array([landed([at(p, time) for p in plants[s]]) for time in times]) for s in COLOURS}
+    return {s: points.transpose(2, 0, 1, 3) for s, points in found.items()}
+
+
 def window_phases(cylinder: Cylinder, source: Array, half: float) -> Array:
     """ε over which the trace crosses a window of ± half, a little further on both sides."""
     scan = np.linspace(-0.6, 0.6, 4801)
@@ -156,29 +209,31 @@ def window_phases(cylinder: Cylinder, source: Array, half: float) -> Array:
     return np.linspace(-reach, reach, 1201)
 
 
-def draw(f: Field, hours: Sequence[float], half: float, title: str) -> Figure:
+def by_vector(f: Field, hours: Sequence[float], half: float) -> Curves:
+    """Curves and dots of the vector model, by cylinder, heliostat and hour; a sun below the horizon makes none."""
+    out: Curves = {}
+    for i in range(len(f.locations)):
+        for k, (s, up) in enumerate(zip(*f.sun(np.asarray(hours)), strict=True)):
+            for stands_for in COLOURS if up > 0 else ():
+                c = f.cylinder(f.locations[i], s, stands_for)
+                pairs = [deviation(c, s, x) for x in (window_phases(c, s, half), np.array([-DOT, DOT]))]
+                out[stands_for, i, k] = tuple(np.where(real[:, None], p, np.nan) for p, real in pairs)
+    return out
+
+
+def draw(f: Field, curves: Curves, hours: Sequence[float], half: float, title: str) -> Figure:
     """The figure."""
     note = (
         f"Seen from the heliostats' side: +y, west of a tower that faces north, is to the right. "
         f"Yellow: receiver, {f.receiver[0]:g} × {f.receiver[1]:g} m. Dots: misalignment of ±12 mrad."
     )
     figure, all_axes = panels(len(f.locations), title, note)
-    sources, elevations = f.sun(np.asarray(hours))
     for i, axes in enumerate(all_axes):
         dress(axes, f, i, half)
-        for k, (s, up) in enumerate(zip(sources, elevations, strict=True)):
-            if up <= 0:
-                continue
-            for stands_for, colour in COLOURS.items():
-                c = f.cylinder(f.locations[i], s, stands_for)
-                points, real = deviation(c, s, window_phases(c, s, half))
-                axes.plot(
-                    *np.where(real[:, None], points, np.nan).T, color=colour, linewidth=1.5, linestyle=STYLES[k % 3]
-                )
-                dots, real = deviation(c, s, np.array([-DOT, DOT]))
-                axes.plot(
-                    *dots[real].T, "o", color=colour, markersize=3.4, markeredgecolor="white", markeredgewidth=0.5
-                )
+    for (stands_for, i, k), (points, dots) in curves.items():
+        colour = COLOURS[stands_for]
+        all_axes[i].plot(*points.T, color=colour, linewidth=1.5, linestyle=STYLES[k % 3])
+        all_axes[i].plot(*dots.T, "o", color=colour, markersize=3.4, markeredgecolor="white", markeredgewidth=0.5)
     handles = [Line2D([], [], color=v, linewidth=2, label=f"{k} misalignment") for k, v in COLOURS.items()]
     handles += [
         Line2D([], [], color="#444444", linewidth=1.5, linestyle=STYLES[k % 3], label=f"{h:g} h solar time")
@@ -219,10 +274,18 @@ def main(argv: Sequence[str] | None = None) -> Path:
     parser.add_argument(
         "--window", type=float, default=100.0, help="half-width of the panels [m] (default %(default)s)"
     )
+    parser.add_argument("--vector", action="store_true", help="by the vector model, which takes all other options")
     args = parser.parse_args(argv)
     f = field(args)
     title = f"Deviation curves, {args.date:%B} {args.date.day}, {args.latitude:g}° north"
-    figure = draw(f, args.hours, args.window, title)
+    if args.vector:
+        curves = by_vector(f, args.hours, args.window)
+    else:
+        whole, dots = (by_command(args.date, args.hours, x) for x in (ERRORS, np.array([-DOT, DOT])))
+        curves = {
+            (s, i, k): (whole[s][i, k], dots[s][i, k]) for s in COLOURS for i, k in np.ndindex(whole[s].shape[:2])
+        }
+    figure = draw(f, curves, args.hours, args.window, title)
     args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / "fig4.png"
     figure.savefig(path, dpi=130)

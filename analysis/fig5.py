@@ -7,31 +7,24 @@ as the paper says, heliostat (a) stays on it all day up to 12 mrad and (d) not f
 azimuth error of 12 mrad that finds the receiver "only at 16pm or before 8am", holds here in its afternoon half. No
 chance enters.
 
-With ``--command`` the drift is that of ``benchsim flux`` on the shipped plant ``six``, the same heliostats: the images'
-places through the day, of errors IE and CA with the other sign, which turn about the axes of the two cylinders. It has
-no r.
+The drift is that of ``benchsim flux`` on the shipped plant ``six``, these heliostats, through the day, of the errors of
+``fig4.py``; or, with ``--vector``, the vector model's.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from fig4 import COLOURS, Array, Field, arguments, dress, field, panels
+from fig4 import COLOURS, Array, Field, arguments, dress, field, landed, misaligned, panels, solar_hours
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 import benchsim as bs
-from benchsim.plant import files
 from benchsim.vector import deviation
-
-SIX = Path(__file__).resolve().parents[1] / "scenes" / "plants" / "six"
-NAMES = {"elevation": "IE", "azimuth": "CA"}
-"""The mount's error that turns about the axis of a cylinder, the other way round."""
 
 MARKED = (8.0, 12.0, 16.0)
 MARKERS = ("^", "o", "s")
@@ -53,20 +46,14 @@ def drift(f: Field, errors: Array, hours: Array) -> dict[str, Array]:
 
 def by_command(errors: Array, date: str, step: float, lowest: float) -> tuple[Array, dict[str, Array]]:
     """Solar hours, and `drift`, by ``benchsim flux`` on the shipped plant; it takes the middles of a day's steps."""
-    plant, out = files.read(SIX), {}
-    for stands_for, name in NAMES.items():
-        days = []
-        for error in errors:
-            field = replace(plant.field, errors={name: np.full(6, -error)})
-            days.append(bs.flux(replace(plant, field=field), day=date, step=step / 60, cells=10, irradiance=900.0))
-        suns = np.array([m.sun for m in days[0].moments])
+    out = {}
+    for stands_for in COLOURS:
+        plants = [misaligned(stands_for, error) for error in errors]
+        made = [bs.flux(p, day=date, step=step / 60, cells=10, irradiance=900.0).moments for p in plants]
+        suns = np.array([m.sun for m in made[0]])
         up = suns[:, 2] > math.sin(lowest)
-        # [error, hour, location, along and up] in m; along is east, Y west.
-        at = np.array([[m.landing for m in day.moments] for day in days])[:, up] / 1e3 * [-1, 1]
-        out[stands_for] = at.transpose(2, 1, 0, 3)
-    e, n, u = suns[up].T
-    latitude = plant.site.latitude
-    return 12 + np.degrees(np.arctan2(-e, u * math.cos(latitude) - n * math.sin(latitude))) / 15, out
+        out[stands_for] = np.array([landed(moments)[up] for moments in made]).transpose(2, 1, 0, 3)
+    return solar_hours(suns[up]), out
 
 
 def daylight(f: Field, lowest: float, step: float) -> Array:
@@ -161,17 +148,17 @@ def main(argv: Sequence[str] | None = None) -> Path:
     parser.add_argument("--lowest-sun", type=float, default=5.0, help="elevation that begins the day [deg]")
     parser.add_argument("--step", type=float, default=5.0, help="[min] (default %(default)s)")
     parser.add_argument("--window", type=float, default=30.0, help="half-width of the panels [m] (default %(default)s)")
-    parser.add_argument("--command", action="store_true", help="by benchsim flux on the shipped plant")
+    parser.add_argument("--vector", action="store_true", help="by the vector model, which takes all other options")
     args = parser.parse_args(argv)
     f = field(args)
     errors = np.array(args.errors) * 1e-3
     hours = daylight(f, np.radians(args.lowest_sun), args.step)
     if len(hours) < 2:
         parser.error(f"the sun does not rise {args.lowest_sun:g}° high on {args.date} at latitude {args.latitude:g}°")
-    if args.command:
-        hours, drifts = by_command(errors, args.date.isoformat(), args.step, np.radians(args.lowest_sun))
-    else:
+    if args.vector:
         drifts = drift(f, errors, hours)
+    else:
+        hours, drifts = by_command(errors, args.date.isoformat(), args.step, np.radians(args.lowest_sun))
     title = f"Drift over the day, {args.date:%B} {args.date.day}, {args.latitude:g}° north"
     figure = draw(f, errors, hours, drifts, args.window, title)
     args.out.mkdir(parents=True, exist_ok=True)

@@ -47,6 +47,11 @@ ALARM = 1e-6
 """Chance at which a heliostat that the model describes is called contradictory."""
 
 
+FAINT = 0.05
+"""Of the brightness that prisms have in the middle: what is fainter is others' light in a label (2 % at most where near
+heliostats are blocked), and no prism is so soiled."""
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """What the arrays say of one heliostat.
@@ -105,24 +110,30 @@ def measure(samples: Array, plant: Plant) -> tuple[list[Measurement], Lines, Noi
     lines = separate(samples, plant)
     noise = fit_noise(lines, plant)
     found = [_one(plant, lines, noise, k) for k in range(len(plant.heliostats))]
-    powers = [power for _, factors in found for power in factors]
+    powers = [power for one, of in found if one.outcome != "contradictory" for power in of.values()]
     # all prisms are alike: where some are seen, how bright the others would be is known
     typical = float(np.median(powers)) if powers else 0.0
+    for k, (one, of) in enumerate(found):
+        faint = [kind for kind, power in of.items() if power < FAINT * typical]
+        if faint and one.outcome != "contradictory":
+            found[k] = _one(plant, lines, noise, k, faint)
     return [_absent(plant, lines, noise, one, typical) for one, _ in found], lines, noise
 
 
-def _one(plant: Plant, lines: Lines, noise: Noise, k: int) -> tuple[Measurement, list[float]]:
-    """One heliostat, and the powers of its prisms where they are known."""
+def _one(
+    plant: Plant, lines: Lines, noise: Noise, k: int, dark: Sequence[int] = ()
+) -> tuple[Measurement, dict[int, float]]:
+    """One heliostat, and the powers of its prisms that are lit; those that are known to be ``dark`` are not."""
     per = [crossings_of(plant, lines, noise, k, kind) for kind in range(2)]
     crossings = (*per[0], *per[1])
     states = [_state(c) for c in per]
     nothing = Measurement(
         k, "dark", np.full(2, np.nan), np.diag([np.inf, np.inf]), crossings, None, np.nan, 0, OUTCOMES["dark"]
     )
-    lit = [kind for kind in range(2) if states[kind] in ("crosses", "rim")]
+    lit = [kind for kind in range(2) if states[kind] in ("crosses", "rim") and kind not in dark]
     if not lit:
         outcome = "unresolved" if "unresolved" in states else "dark"
-        return replace(nothing, outcome=outcome, says=OUTCOMES[outcome]), []
+        return replace(nothing, outcome=outcome, says=OUTCOMES[outcome]), {}
     start = np.zeros(2)
     for kind in lit:
         start[1 - kind] = _best(per[kind]).angle
@@ -144,10 +155,10 @@ def _one(plant: Plant, lines: Lines, noise: Noise, k: int) -> tuple[Measurement,
     angles[free] = result.angles
     covariance[np.ix_(free, free)] = result.covariance
     if len(lit) == 1:
-        dark = KINDS[1 - lit[0]]
+        other = KINDS[1 - lit[0]]
         why = "has a label too near another's" if states[1 - lit[0]] == "unresolved" else "gives no light"
         outcome = "one angle"
-        says = f"the {dark} prism {why}: the {KINDS[free[0]]} misalignment alone is known"
+        says = f"the {other} prism {why}: the {KINDS[free[0]]} misalignment alone is known"
         if states[lit[0]] == "rim":
             says += ", and that from the rim of its light"
     elif result.dof and chdtrc(result.dof, result.chi2) < ALARM:
@@ -167,8 +178,7 @@ def _one(plant: Plant, lines: Lines, noise: Noise, k: int) -> tuple[Measurement,
         result.dof,
         says,
     )
-    known = outcome != "contradictory" and all(states[kind] == "crosses" for kind in lit)
-    return done, [abs(a) for a in result.factors] if known else []
+    return done, dict(zip(lit, (float(abs(a)) for a in result.factors), strict=True))
 
 
 def _state(crossings: Sequence[Crossing]) -> str:

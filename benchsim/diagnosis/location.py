@@ -112,7 +112,8 @@ def scan(
         taken[members] = True
         where = problem.position[members]
         corrected = float(norm.isf(chance[k] / 2)) if chance[k] > 0 else _large(float(abs(z[k])), len(windows))
-        found.append(Stretch(problem.names[b], float(where.min()), float(where.max()), corrected))
+        kind = str(problem.kind[members[0]])
+        found.append(Stretch(problem.names[b], float(where.min()), float(where.max()), corrected, kind))
     return tuple(found)
 
 

@@ -60,12 +60,16 @@ class Class:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of a trace where the misfit lies, [mm] of arc length; ``z`` its corrected significance."""
+    """A stretch of a trace where the misfit lies, [mm] of arc length; ``z`` its corrected significance.
+
+    ``kind`` of the datum that shows it.
+    """
 
     exposure: str
     from_mm: float
     to_mm: float
     z: float
+    kind: str
 
 
 @dataclass(frozen=True)

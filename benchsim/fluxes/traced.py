@@ -217,10 +217,12 @@ def trace(
     unit = float((mirrors.width * mirrors.height).mean()) / (rays / n)
     aimed = np.where(got["aimed"] > 0, got["aimed"], np.nan)
     place = np.stack([got["along"] / aimed, got["up"] / aimed], axis=1)
+    # As many rays leave each mirror, so that one all of whose rays land is sure but for their weights.
+    spread = np.maximum(got["squared"] - got["landed"] ** 2 / (rays / n), 0.0)
     through = np.maximum(got["whole"] - got["shaded"] - got["blocked"], 1e-300)
     return Traced(
         got["whole"] * scale, got["shaded"] * scale, got["blocked"] * scale, got["landed"] * unit,
-        got["squared"] * unit**2, got["turn"] / through, place, tuple(m[0] * unit for m in maps),
+        spread * unit**2, got["turn"] / through, place, tuple(m[0] * unit for m in maps),
         tuple(m[1] * unit**2 for m in maps), rays, reached,
     )  # fmt: skip
 

@@ -261,8 +261,8 @@ def write(r: DetectorsResult, folder: Path) -> None:
     write_csv(folder / "heliostats.csv", list(rows[0]), (row.values() for row in rows), 9)
     ids = [r.plant.field.ids[k] for k in r.watch.who]
     body = (
-        [t.isoformat(), ids[i], int(r.seen[k, i]), int(r.hidden[k, i]), *(_finite(1e3 * x) for x in r.sigma[k, i])]
-        for k, t in enumerate(r.times)
+        [t, ids[i], int(r.seen[k, i]), int(r.hidden[k, i]), *(_finite(1e3 * x) for x in r.sigma[k, i])]
+        for k, t in enumerate(t.isoformat() for t in r.times)
         for i in range(len(ids))
     )
     header = ["time", "id", "seen", "hidden", "sigma_elevation_mrad", "sigma_azimuth_mrad"]

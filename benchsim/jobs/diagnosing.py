@@ -118,7 +118,6 @@ class DiagnosisResult(Diagnosed):
                 defaults=r.defaults_used,
                 amended=f"{sentence}: {', '.join(put)}." if put else "",
                 moves=self.moves,
-                kinds=exhibits.stretch_kinds(self.problem, self.diagnosis),
             ),
         )
 

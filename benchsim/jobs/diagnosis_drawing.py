@@ -127,7 +127,6 @@ def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: s
     where = result.diagnosis.location
     if where is None or not where.along_trace:
         return
-    kinds = exhibits.stretch_kinds(result.problem, result.diagnosis)
     strongest: dict[str, float] = {}
     for s in where.along_trace:
         strongest[s.exposure] = max(s.z, strongest.get(s.exposure, 0.0))
@@ -144,7 +143,7 @@ def _draw_located(result: DiagnosisResult, folder: Path, pool: Workers, title: s
         pictures.located(
             folder / f"located-{file_name(Path(exposure.image).stem)}.png",
             ridge,
-            [(s, kind) for s, kind in zip(where.along_trace, kinds, strict=True) if s.exposure == exposure.name],
+            [s for s in where.along_trace if s.exposure == exposure.name],
             result.problem,
             result.diagnosis,
             f"{title}: where the misfit lies in {exposure.name}; by the sum of all, in the {where.element}",

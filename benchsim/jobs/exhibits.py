@@ -21,7 +21,7 @@ from benchsim.bench.model import Camera, Exposure, Recording
 from benchsim.bench.settings import NAMES
 from benchsim.bench.writing import write_bytes, write_text
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.result import Diagnosis, Size, Stretch
+from benchsim.diagnosis.result import Diagnosis, Size
 from benchsim.instruments.bench.board_coordinates import View
 from benchsim.instruments.bench.prediction import UNITS, Predict
 from benchsim.instruments.bench.validation import ExposureValidation
@@ -106,7 +106,6 @@ def write_diagnosis(
         "moves": {name: {**_size(size), "how": how} for name, (size, how) in moves.items()},
         "priors": {p.name: {"sigma": p.sigma, "unit": p.unit} for p in problem.nuisances},
         "most": shown,
-        "stretches": list(stretch_kinds(problem, d)),
     }
     _write(extra, recording, used, folder, photographs)
 
@@ -116,32 +115,6 @@ def most(d: Diagnosis) -> str:
     by_kind = d.location.by_kind if d.location is not None else {}
     best = max(by_kind, key=lambda k: by_kind[k], default="c")
     return best if by_kind.get(best, 0.0) >= STANDS_OUT else "c"
-
-
-def stretch_kinds(problem: Problem, d: Diagnosis) -> tuple[str, ...]:
-    """Kind of datum that shows each stretch of a diagnosis.
-
-    Stretches are windows over data of one kind, whose ends are theirs. Where two kinds have data at both ends, the one
-    is taken whose residuals, before, are further from 0 within, and no kind twice for the same window.
-    """
-    out: list[str] = []
-    taken: set[tuple[str, float, float, str]] = set()
-    for s in d.location.along_trace if d.location is not None else ():
-        rows = problem.rows(problem.names.index(s.exposure))
-        kind, at = problem.kind[rows], problem.position[rows]
-        misfit = {}
-        for k in np.unique(kind[kind != "m"]):
-            own = at[kind == k]
-            here = rows.start + np.flatnonzero((kind == k) & (at >= s.from_mm) & (at <= s.to_mm))
-            if {s.from_mm, s.to_mm} <= set(own.tolist()) and (*_window(s), k) not in taken:
-                misfit[str(k)] = float(np.mean((d.residuals.before[here] / d.residuals.sigma[here]) ** 2))
-        out.append(max(misfit, key=lambda k: misfit[k], default="c"))
-        taken.add((*_window(s), out[-1]))
-    return tuple(out)
-
-
-def _window(s: Stretch) -> tuple[str, float, float]:
-    return s.exposure, s.from_mm, s.to_mm
 
 
 def _of_kind(problem: Problem, d: Diagnosis, block: int, kind: str, marks: Array, own: Array) -> dict[str, Any] | None:

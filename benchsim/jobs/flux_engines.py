@@ -152,15 +152,15 @@ class Parting:
         cells, those in which the product is above `TOP` of its own.
     centroid : (float, float)
         Of the light by Monte Carlo, from that by the product, along and up [m].
-    causes : tuple of (str, float, float)
-        What the product simplifies, and by which part that changes power and peak.
+    causes : tuple of (str, (float, float), (float, float))
+        What the product simplifies, and by which part that changes power and peak, each with its standard error.
     """
 
     receiver: str
     power: tuple[float, float, float]
     peak: tuple[float, float, float]
     centroid: tuple[float, float]
-    causes: tuple[tuple[str, float, float], ...]
+    causes: tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]
 
     def sentences(self) -> list[str]:
         """For a person."""
@@ -171,7 +171,8 @@ class Parting:
             f"{1e3 * float(np.hypot(*self.centroid)):.0f} mm apart"
         ]
         for words, power, peak in self.causes:
-            out.append(f"    {words}: power {100 * power:+.2f} %, peak {100 * peak:+.2f} %")
+            both = (f"{what} {100 * by:+.2f} ± {100 * s:.2f} %" for what, (by, s) in (("power", power), ("peak", peak)))
+            out.append(f"    {words}: {', '.join(both)}")
         return out
 
 
@@ -228,21 +229,25 @@ def parted(plant: Plant, sun: Array, sky: float, errors: Errors, product: Moment
         top = flat >= TOP * flat.max()
         if not carlo.received[k] or not flat.max():
             continue
-        noise = carlo.noise
-        assert noise is not None
-        peaks = [float(m.flux[k][top].mean()) for m in (carlo, *(m for _, m in chain))] + [float(flat[top].mean())]
-        powers = [float(m.received[k]) for m in (carlo, *(m for _, m in chain), product)]
+        powers, peaks = [], []
+        for m in (carlo, *(m for _, m in chain)):
+            assert m.noise is not None
+            spread = m.noise.flux[k]
+            # Cells share the light that there is, so that their errors are not those of its sum; heliostats' are.
+            powers.append((float(m.received[k]), float(np.linalg.norm(m.noise.power[f.receiver == k]))))
+            peaks.append((float(m.flux[k][top].mean()), float(np.sqrt((spread[top] ** 2).sum())) / top.sum()))
+        powers.append((float(product.received[k]), 0.0))
+        peaks.append((float(flat[top].mean()), 0.0))
         words = [w for w, _ in chain] + [REST]
-        causes = tuple((w, powers[j + 1] / powers[j] - 1, peaks[j + 1] / peaks[j] - 1) for j, w in enumerate(words))
+        steps = zip(words, *(zip(v[1:], v[:-1], strict=True) for v in (powers, peaks)), strict=True)
+        causes = tuple((w, _change(*power), _change(*peak)) for w, power, peak in steps)
         centres = [_centroid(m.flux[k], mesh, receiver.kind == "cylinder", receiver.radius) for m in (product, carlo)]
-        cell = receiver.extent[0] * receiver.extent[1] / len(mesh.points)
-        error = float(np.sqrt((noise.flux[k] ** 2).sum())) * cell / 1e6
         apart = (centres[1] - centres[0]) / 1e3
         out.append(
             Parting(
                 receiver.name,
-                (powers[-1] / 1e3, powers[0] / 1e3, error / 1e3),
-                (peaks[-1] / 1e3, peaks[0] / 1e3, float(np.sqrt((noise.flux[k][top] ** 2).sum())) / top.sum() / 1e3),
+                (powers[-1][0] / 1e3, powers[0][0] / 1e3, powers[0][1] / 1e3),
+                (peaks[-1][0] / 1e3, peaks[0][0] / 1e3, peaks[0][1] / 1e3),
                 (float(apart[0]), float(apart[1])),
                 causes,
             )
@@ -250,6 +255,12 @@ def parted(plant: Plant, sun: Array, sky: float, errors: Errors, product: Moment
     if not out:
         raise BenchsimError("--engine: no receiver is lit by both engines; mend the plant's errors or aims")
     return tuple(out)
+
+
+def _change(to: tuple[float, float], of: tuple[float, float]) -> tuple[float, float]:
+    """By which part a value differs from another, and its standard error; each with its own, drawn independently."""
+    ratio = to[0] / of[0]
+    return ratio - 1, float(np.hypot(to[1] / of[0], ratio * of[1] / of[0]))
 
 
 def _centroid(values: Array, mesh: Mesh, around: bool, radius: float) -> Array:

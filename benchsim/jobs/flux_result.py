@@ -214,7 +214,10 @@ class FluxResult(Shown):
                         for what, u, values in (("power", "kw", p.power), ("peak", "kw_m2", p.peak))
                     },
                     "centroid_apart_m": list(p.centroid),
-                    "causes": [{"says": w, "power": a, "peak": b} for w, a, b in p.causes],
+                    "causes": [
+                        {"says": w, "power": a, "power_sigma": sa, "peak": b, "peak_sigma": sb}
+                        for w, (a, sa), (b, sb) in p.causes
+                    ],
                 }
                 for p in self.partings
             ]

@@ -22,7 +22,8 @@ QUARTERS = ("03-21", "06-21", "09-22", "12-21")
 def at(text: str | None, site: Site, option: str = "--at") -> datetime:
     """A time of ISO 8601; without a zone in the site's."""
     time = stamps.parsed(text)
-    if time is None:
+    # A date alone is midnight to ISO 8601, which nobody means of a sun.
+    if time is None or ":" not in str(text):
         raise BenchsimError(
             f"{option}: {str(text)[:40]!r} is no time from 1950 to 2100; write it like 2026-06-21T12:00"
         )

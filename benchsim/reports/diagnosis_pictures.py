@@ -301,18 +301,15 @@ def _window(ridge: Ridge) -> tuple[Array, Array]:
     return np.clip(low - more, -0.5, size - 0.5), np.clip(high + more, -0.5, size - 0.5)
 
 
-def located(
-    path: Path, ridge: Ridge, stretches: Sequence[tuple[Stretch, str]], problem: Problem, d: Diagnosis, title: str
-) -> None:
+def located(path: Path, ridge: Ridge, stretches: Sequence[Stretch], problem: Problem, d: Diagnosis, title: str) -> None:
     """The stretches of a trace where the misfit lies, over the photograph and over the residuals.
 
     Parameters
     ----------
     path : Path
     ridge : Ridge
-    stretches : sequence of (Stretch, str)
-        Of this exposure, the strongest first, each with the kind of datum that shows it; the residuals are those of the
-        first's kind.
+    stretches : sequence of Stretch
+        Of this exposure, the strongest first; the residuals are those of the first's kind.
     problem : Problem
     d : Diagnosis
     title : str
@@ -325,11 +322,11 @@ def located(
     picture.imshow(_tone(ridge.light), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
     picture.set(xticks=[], yticks=[], xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     picture.plot(*ridge.pixels.T, color=MEASURED, linewidth=0.6)
-    r, first = d.residuals, stretches[0][1] if stretches else "c"
+    r, first = d.residuals, stretches[0].kind if stretches else "c"
     _residual_panel(below, problem, problem.names.index(ridge.name), r.before, r.after, r.sigma, first)
-    apart = len({(s.from_mm, s.to_mm) for s, _ in stretches}) < len(stretches)
-    for number, (stretch, kind) in enumerate(stretches):
-        if kind == first:
+    apart = len({(s.from_mm, s.to_mm) for s in stretches}) < len(stretches)
+    for number, stretch in enumerate(stretches):
+        if stretch.kind == first:
             below.axvspan(stretch.from_mm, stretch.to_mm, color="#ffd92f", alpha=0.45, linewidth=0)
         here = (ridge.s >= stretch.from_mm) & (ridge.s <= stretch.to_mm)
         if not here.any():
@@ -345,7 +342,7 @@ def located(
         across = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9)
         across *= np.sign(across @ ((low + high) / 2 - (u, v))) or 1.0
         picture.annotate(
-            f"{stretch.from_mm:.0f} … {stretch.to_mm:.0f} mm\n{BENCH.kinds[kind][0]}: {stretch.z:.1f} sigma",
+            f"{stretch.from_mm:.0f} … {stretch.to_mm:.0f} mm\n{BENCH.kinds[stretch.kind][0]}: {stretch.z:.1f} sigma",
             (u, v),
             xytext=(62 * across[0], -62 * across[1]),
             textcoords="offset points",

@@ -7,13 +7,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import exp, isfinite, log
 from textwrap import fill
+from typing import TYPE_CHECKING
 
-from benchsim.diagnosis.problem import Effect
-from benchsim.diagnosis.result import Diagnosis, Found, Size, SplitBy
 from benchsim.reports.conclusion import CONFIDENCE, gathered, headline, leftover, listed
 from benchsim.reports.limits_text import blind_text, limit_rows, limit_text, shapes_text
 from benchsim.reports.quantities import rounded, words_of
 from benchsim.reports.vocabulary import BENCH, Vocabulary
+
+if TYPE_CHECKING:
+    # The diagnosis is heavy to load, and pages of plants are made without it.
+    from benchsim.diagnosis.problem import Effect
+    from benchsim.diagnosis.result import Diagnosis, Found, Size, SplitBy
 
 WIDTH = 100
 
@@ -47,8 +51,6 @@ class About:
     words : Vocabulary
     moves : mapping of str to (Size, str)
         What an effect of that name, or of a parameter of that name alone, moves, and where or how that is measured.
-    kinds : sequence of str
-        Kind of datum that shows each of the diagnosis' stretches.
     """
 
     title: str
@@ -62,7 +64,6 @@ class About:
     amended: str = ""
     words: Vocabulary = BENCH
     moves: Mapping[str, tuple[Size, str]] = field(default_factory=dict)
-    kinds: Sequence[str] = ()
 
 
 def summary(d: Diagnosis, about: About) -> str:
@@ -86,7 +87,7 @@ def summary(d: Diagnosis, about: About) -> str:
     parts.append(_headline(d, words))
     parts += [_found(f, about) for f in d.effects]
     parts += list(_classes(d, about))
-    parts += list(_where(d, words, about.kinds))
+    parts += list(_where(d, words))
     parts += list(_better(d, words))
     parts += list(_next(d))
     parts += list(_limits(d, about))
@@ -160,19 +161,23 @@ def _headline(d: Diagnosis, words: Vocabulary) -> str:
     return _wrapped(first.upper() + rest + tail + (f" {left}" if left else ""))
 
 
+def _size(size: Size) -> str:
+    return rounded(size.value, size.sigma, size.unit)
+
+
 def _found(f: Found, about: About) -> str:
     lines = [f"{f.name} ({f.element}; {CONFIDENCE[f.confidence]}; probability {percent(f.probability)})"]
     lines.append(_wrapped(f.says, "  "))
     sizes = []
     for name, size in f.parameters.items():
         word, moved = words_of(name), about.moves.get(name)
-        told = f"{name} = {rounded(size)}" if word == name else f"{word} ({name}) {rounded(size)}"
-        sizes.append(told + (f", which is {rounded(moved[0])} {moved[1]}" if moved else ""))
+        told = f"{name} = {_size(size)}" if word == name else f"{word} ({name}) {_size(size)}"
+        sizes.append(told + (f", which is {_size(moved[0])} {moved[1]}" if moved else ""))
     apart = "; " if about.moves.keys() & f.parameters.keys() else ", "
     lines.append(_wrapped(f"Size: {apart.join(sizes)} (1 sigma).", "  "))
     if f.name in about.moves:
         size, how = about.moves[f.name]
-        lines.append(_wrapped(f"Alone it moves the trace by {rounded(size)} {how}.", "  "))
+        lines.append(_wrapped(f"Alone it moves the trace by {_size(size)} {how}.", "  "))
     if f.remedy:
         lines.append(_wrapped(f"{about.words.remedy}: {f.remedy}", "  "))
     return "\n".join(lines)
@@ -222,7 +227,7 @@ def shown_text(by_kind: Mapping[str, float], words: Vocabulary, stretches: int) 
     return f"It shows in {each}, all {words.one}s together{alone}."
 
 
-def _where(d: Diagnosis, words: Vocabulary, kinds: Sequence[str]) -> Iterator[str]:
+def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     where = d.location
     if where is None:
         return
@@ -239,9 +244,9 @@ def _where(d: Diagnosis, words: Vocabulary, kinds: Sequence[str]) -> Iterator[st
     shown = shown_text(where.by_kind, words, len(where.along_trace))
     if shown:
         lines.append(_wrapped(shown, "  "))
-    told = [f", {words.kinds.get(k, (k, ''))[0]}" for k in kinds] or [""] * len(where.along_trace)
-    for s, of in sorted(zip(where.along_trace, told, strict=True), key=lambda pair: -pair[0].z)[:6]:
-        lines.append(f"  {s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace, {s.z:.1f} sigma{of}")
+    for s in sorted(where.along_trace, key=lambda s: -s.z)[:6]:
+        place = f"{s.exposure}: from {s.from_mm:.0f} to {s.to_mm:.0f} mm along the trace"
+        lines.append(f"  {place}, {s.z:.1f} sigma, {words.kinds.get(s.kind, (s.kind, ''))[0]}")
     if len(where.along_trace) > 6:
         lines.append(f"  and weaker stretches: {len(where.along_trace) - 6} (diagnosis.json lists them)")
     if d.law is not None:

@@ -128,7 +128,6 @@ class Page(Form):
     moves: dict[Text, _Moved] = Field(default_factory=dict)
     priors: dict[Text, _Prior] = Field(default_factory=dict)
     most: Literal["w", "f", "g", "m"] | None = None
-    stretches: list[Text] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _of_the_kind(self) -> Page:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
-from benchsim.diagnosis.problem import Effect
-from benchsim.diagnosis.result import Limit
 from benchsim.reports.conclusion import listed
 from benchsim.reports.quantities import readable, unit_text, words_of
+
+if TYPE_CHECKING:
+    from benchsim.diagnosis.problem import Effect
+    from benchsim.diagnosis.result import Limit
 
 INVISIBLE = "not visible at any plausible size"
 """Instead of a limit that lies beyond the largest size that an effect is looked for at."""

@@ -25,7 +25,6 @@ do not hold, the mapping in ``page.json``::
                              "held_out_after": […], "sigma": […], "sigma_alone": […]}}],
      "most": "f",                                              # optional: kind of datum that shows most, if not "c";
                                                                # of "m" an exposure has "at_px", "before_px", "after_px"
-     "stretches": ["f", "w"],                                  # optional: what shows each of location.along_trace
      "moves": {"screen-bow": {"value": 0.8, "sigma": 0.01, "unit": "mm", "how": "rms"}}, # optional: effect, parameter
      "priors": {"s1.laser_azimuth": {"sigma": 1.0, "unit": "mrad"}}} # optional: of what is fitted in every hypothesis
 """

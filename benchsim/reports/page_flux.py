@@ -32,7 +32,11 @@ COLUMNS = {
 }
 """What the errors cost first, as a phone shows three or four; those in which a plant has but one value are left out."""
 
-CAUSES = {"says": Column("simplified"), "power": Column("power (%)", 2), "peak": Column("peak (%)", 2)}
+CAUSES = {
+    "says": Column("simplified"),
+    "power": Column("power (%)", 2, "power_sigma"),
+    "peak": Column("peak (%)", 2, "peak_sigma"),
+}
 
 
 def shown(
@@ -79,7 +83,7 @@ def _engines(partings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             f"{p['receiver']}: product {power['product']:.4g} kW, Monte Carlo {power['monte_carlo']:.4g} ± "
             f"{power['sigma']:.2g} kW"
         )
-        rows = [c | {k: 100 * c[k] for k in ("power", "peak")} for c in p["causes"]]
+        rows = [{k: v if k == "says" else 100 * v for k, v in c.items()} for c in p["causes"]]
         tables.append(page_plant.table(CAUSES, rows, caption=caption))
     says = (
         "The product of error functions simplifies; Monte Carlo was made once more with each of its simplifications, "

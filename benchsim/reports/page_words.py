@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from math import inf, log10
 from typing import Any
 
-from benchsim.diagnosis.result import Size
 from benchsim.reports.conclusion import CONFIDENCE, SETTINGS, gathered, headline, leftover, listed
 from benchsim.reports.diagnosis_text import (
     OVERSTATED,
@@ -65,7 +64,7 @@ def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
         "seen": [_limit(k, v) for k, v in limits if v["reachable"]],
         "blind": listed(blind_text((k.split(".")[0], v["parameter"]) for k, v in limits if not v["reachable"])),
         "most": most(d, extra),
-        "stretches": _stretches(d, extra, words),
+        "stretches": _stretches(d, words),
         "moves": extra.get("moves", {}),
         "notes": gathered([*d["remarks"], *d["notes"]]),
         "fitted": _fitted(d, extra),
@@ -96,12 +95,11 @@ def most(d: Json, extra: Json) -> dict[str, Any] | None:
     return {"kind": kind, "name": name, "unit": unit, "sigma": d["location"]["by_kind"][kind]}
 
 
-def _stretches(d: Json, extra: Json, words: Vocabulary) -> list[tuple[Json, str]]:
+def _stretches(d: Json, words: Vocabulary) -> list[tuple[Json, str]]:
     """The stretches, the strongest first, each with the words of the kind of datum that shows it."""
     found = d["location"]["along_trace"] if d["location"] else []
-    kinds = [words.kinds.get(k, (k, ""))[0] for k in extra.get("stretches") or []]
-    told = kinds if len(kinds) == len(found) else [""] * len(found)
-    return sorted(zip(found, told, strict=True), key=lambda pair: -pair[0]["z"])
+    told = [(s, words.kinds.get(s.get("kind", ""), ("", ""))[0]) for s in found]
+    return sorted(told, key=lambda pair: -pair[0]["z"])
 
 
 def _law(d: Json, words: Vocabulary) -> str:
@@ -187,7 +185,7 @@ def _fitted(d: Json, extra: Json) -> list[tuple[str, str, str, str, float | None
         off, stated, unit = "–", "–", ""
         if prior is not None and pull is not None:
             factor, unit = readable(prior["unit"], prior["sigma"])
-            off, stated = rounded(Size(factor * pull * prior["sigma"], factor * prior["sigma"], "")).split(" ± ")
+            off, stated = rounded(factor * pull * prior["sigma"], factor * prior["sigma"]).split(" ± ")
         rows.append((words_of(name), minus(off), stated, unit, pull))
     return rows
 
@@ -269,9 +267,7 @@ def ended(sentence: str) -> str:
 
 
 def _size(s: Json, unit: bool = True) -> str:
-    return minus(
-        rounded(Size(s["value"], float("nan") if s["sigma"] is None else s["sigma"], s["unit"] if unit else ""))
-    )
+    return minus(rounded(s["value"], float("nan") if s["sigma"] is None else s["sigma"], s["unit"] if unit else ""))
 
 
 def _separation(s: Json) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from math import floor, isfinite, log10
 
 from benchsim.bench.units import IN_TEXT
-from benchsim.diagnosis.result import Size
 
 WORDS: Mapping[str, str] = {
     "facets": "share of the facets",
@@ -116,10 +115,10 @@ def readable(unit: str, *values: float) -> tuple[float, str]:
     return 1.0, "mm/m" if unit == "1e-3" else unit_text(unit)
 
 
-def rounded(size: Size) -> str:
+def rounded(value: float, sigma: float, unit: str = "") -> str:
     """``value ± sigma unit`` with two digits of sigma: ``0.0310 ± 0.0009 1/m``."""
-    factor, unit = readable(size.unit, size.value, size.sigma)
-    value, sigma = factor * size.value, factor * size.sigma
+    factor, unit = readable(unit, value, sigma)
+    value, sigma = factor * value, factor * sigma
     if not isfinite(sigma) or sigma <= 0:
         return f"{value:.3g} {unit}".rstrip()
     digits = max(0, 1 - floor(log10(sigma)))

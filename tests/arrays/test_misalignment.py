@@ -152,6 +152,18 @@ def test_noise_is_not_taken_for_light(plant, assumptions, truth, steady):
     assert {m.outcome for m in found} == {"dark"}
 
 
+def test_a_trace_of_light_in_a_label_is_no_angle(plant, assumptions, truth, steady):
+    """A fiftieth of a prism's light, as neighbours' may leave in a label where it is blocked: the rest are known."""
+    t = truth.transmission.copy()
+    t[0] *= 0.02
+    t[2, 1] *= 0.02
+    sick = replace(truth, transmission=t, misalignment=np.zeros((6, 2)))
+    found, _, _ = arrays.measure(arrays.record(plant, assumptions, sick, steady, np.random.default_rng(19)), plant)
+    assert found[0].outcome in ("dark", "absent") and not np.isfinite(found[0].misalignment).any()
+    assert found[2].outcome == "one angle" and np.isfinite(found[2].misalignment).sum() == 1
+    assert {found[k].outcome for k in (1, 3, 4, 5)} == {"measured"}
+
+
 def test_a_beam_that_is_not_as_stated_is_contradicted(plant, assumptions, truth, steady):
     """Facets four times as wavy as stated blur the beam: near heliostats, whose light is strong, contradict the
     model."""

@@ -46,7 +46,7 @@ def test_a_stretch_is_found_where_it_is():
     found = scan(problem, replace(linear, residual=residual), problem.covariance, 1.0)
     assert found[0].exposure == "line5"
     assert 0.1 < found[0].from_mm < found[0].to_mm < 0.7
-    assert found[0].z > 3
+    assert found[0].z > 3 and found[0].kind == "c"
 
 
 def test_what_bends_within_a_line_shows_by_its_own_form_only():

@@ -47,7 +47,9 @@ def bowed(problem, progress=None):
     bow = Found("screen-bow", "screen", 0.999, "named", {"bow_z": Size(0.03, 0.001, "1/m")}, "It is bent.", "Brace it.")
     return Diagnosis(
         verdict="named", effects=(bow,), classes=(), law=None, rms={"c": (0.3, 0.04)}, held_out=None, pulls={},
-        location=Location("screen", "place on the board", True, 9.0, (Stretch(problem.names[0], s[2], s[9], 7.1),)),
+        location=Location(
+            "screen", "place on the board", True, 9.0, (Stretch(problem.names[0], s[2], s[9], 7.1, "c"),)
+        ),
         limits={"beam-offset": Limit("bu", 1.3, "mm", True)}, next=(), sigma_scale=1.0, correlation=0.0,
         setting_scale=1.0, probability={"screen-bow": 0.999}, values={"bow_z": 0.03},
         residuals=Residuals(3 * sigma, sigma, np.full(n, np.nan), np.full(n, np.nan), sigma),

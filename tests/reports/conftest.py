@@ -123,7 +123,7 @@ def made():
         "The board is bent: its surface rises from its plane with the square of y or z.",
         "Put a straightedge across the board, and brace it.",
     )  # fmt: skip
-    stretches = (Stretch("001.png", 10.0, 120.0, 7.1), Stretch("003.png", 500.0, 620.0, 5.2))
+    stretches = (Stretch("001.png", 10.0, 120.0, 7.1, "f"), Stretch("003.png", 500.0, 620.0, 5.2, "c"))
     diagnosis = Diagnosis(
         verdict="named",
         effects=(bow,),

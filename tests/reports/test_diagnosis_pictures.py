@@ -71,7 +71,7 @@ def test_the_located_stretch_lies_where_the_trace_lies(made, tmp_path):
     s = np.linspace(0, 620, 400)
     pixels = np.column_stack([np.linspace(100, 700, 400), np.full(400, 300.0)])
     ridge = pictures.Ridge("001.png", light, s, pixels)
-    stretches = [(made.diagnosis.location.along_trace[0], "c")]
+    stretches = [replace(made.diagnosis.location.along_trace[0], kind="c")]
     pictures.located(tmp_path / "with.png", ridge, stretches, made.problem, made.diagnosis, "six")
     pictures.located(tmp_path / "without.png", ridge, (), made.problem, made.diagnosis, "six")
     a, b = drawn(tmp_path / "with.png"), drawn(tmp_path / "without.png")

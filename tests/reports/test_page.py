@@ -21,7 +21,7 @@ from benchsim import jobs
 from benchsim.bench.curve import Curve, signed_distance
 from benchsim.bench.errors import BenchsimError
 from benchsim.cli import app
-from benchsim.diagnosis.result import Law, Stretch
+from benchsim.diagnosis.result import Law
 from benchsim.jobs import exhibits
 from benchsim.reports import forms, page, page_plots, page_trial, page_words
 
@@ -461,7 +461,7 @@ def beside_most(made, kind):
         marks = np.column_stack([np.linspace(20, 380, 20), np.linspace(10, 290, 20)])
         row["most"] = exhibits._of_kind(problem, made.diagnosis, b, kind, marks, np.ones(problem.rows(b).stop))
         assert len(at) == (2 * len(row["most"]["at_px"]) if kind == "m" else len(row["most"]["s_mm"]))
-    return {**extra, "most": kind, "stretches": ["f", "c"]}
+    return {**extra, "most": kind}
 
 
 @pytest.mark.parametrize(("kind", "words"), [("f", "logarithm of the flux"), ("m", "marks")])
@@ -484,21 +484,6 @@ def test_a_verdict_that_the_centre_line_shows_most_begins_with_the_photographs(m
     d = made.diagnosis
     assert exhibits.most(replace(d, location=replace(d.location, by_kind={"c": 11.0, "f": 4.0}))) == "c"
     assert exhibits.most(replace(d, location=None)) == "c"
-
-
-def test_stretches_say_which_datum_shows_them(made):
-    """Width and flux have data at the same places: the flux, with the larger misfit, and then the width."""
-    problem, r, d = made.problem, made.diagnosis.residuals, made.diagnosis
-    rows = problem.rows(0)
-    s = np.unique(problem.position[rows][problem.kind[rows] == "f"])
-    flux = np.where((problem.block == 0) & (problem.kind == "f"), 9 * r.sigma, 0.0)
-    same = Stretch("001.png", float(s[2]), float(s[9]), 8.0)
-    centre = np.unique(problem.position[rows][problem.kind[rows] == "c"])
-    own = Stretch("001.png", float(centre[1]), float(centre[6]), 5.0)
-    location = replace(d.location, along_trace=(same, own, replace(same, z=4.0)))
-    found = replace(d, location=location, residuals=replace(r, before=r.after + flux))
-    assert exhibits.stretch_kinds(problem, found)[:2] == ("f", "c")
-    assert exhibits.stretch_kinds(problem, found)[2] in ("c", "w")
 
 
 def test_a_folder_without_a_page_says_what_to_open(tmp_path):
