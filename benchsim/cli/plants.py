@@ -22,7 +22,7 @@ from benchsim.cli.common import (
     folder_of,
     scheduler_of,
 )
-from benchsim.jobs.flux_choices import FluxEngine, MountErrors
+from benchsim.jobs.flux_choices import DroneSurface, FluxEngine, MountErrors
 
 
 @app.command()
@@ -175,6 +175,9 @@ def drone_plan(
     plant: PlantArgument,
     output: Output = None,
     virtual: Annotated[bool, typer.Option("--fly", help="Fly it virtually: errors drawn, axes estimated.")] = False,
+    surface: Annotated[
+        DroneSurface, typer.Option(help="Glints are compared with mirrors by design, or with a deflectometer's map.")
+    ] = DroneSurface.design,
     seed: Annotated[int, typer.Option(min=0, help="Of the virtual flight.")] = 0,
     allow_outside: Outside = False,
     json: Json = False,
@@ -183,8 +186,8 @@ def drone_plan(
     from benchsim import jobs
 
     do(
-        jobs.drone, json, plant=plant, output=folder_of(output, plant, "drone"), virtual=virtual, seed=seed,
-        allow_outside=allow_outside,
+        jobs.drone, json, plant=plant, output=folder_of(output, plant, "drone"), virtual=virtual,
+        surface=surface.value, seed=seed, allow_outside=allow_outside,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ Every error source of HelioPoint's Table 1 is a number in `Errors`; at zero it i
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -233,16 +233,6 @@ def stand(
     return out
 
 
-def rows(count: int, across: float, along: float, azimuth: float) -> Array:
-    """(count, 3) places in staggered rows of four, facing ``azimuth`` [rad]; spacings [mm]."""
-    i = np.arange(count)
-    row, place = i // 4, i % 4
-    x = along * (row - row.mean())
-    y = across * (place - 1.5 + np.where(row % 2 == 0, -0.25, 0.25))
-    c, s = math.cos(azimuth), math.sin(azimuth)
-    return np.column_stack([c * x + s * y, -s * x + c * y, np.zeros(count)])
-
-
 def seen(heliostat: Heliostat, flight: Flight) -> Glints:
     """The glints that there are."""
     return glints(heliostat.surface, heliostat.mount, flight.cameras, flight.lamps)
@@ -260,9 +250,3 @@ def read(true: Glints, frames: int, design: Design, errors: Errors, rng: np.rand
     frame = np.concatenate([true.frame, false])
     order = np.argsort(frame, kind="stable")
     return Sightings(frame[order], points[order])
-
-
-def half_of(sightings: Sightings) -> Sightings:
-    """Only the glints on the mirror's right half: what a route that is not symmetric leaves."""
-    kept = sightings.points[:, 0] > 0
-    return replace(sightings, frame=sightings.frame[kept], points=sightings.points[kept])

@@ -6,6 +6,7 @@ Every cluster has a field frame of its own about its middle, x north, y west, z 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.drones.estimate import sigma_sys
-from benchsim.drones.flight import Errors, camera_point, pattern
+from benchsim.drones.flight import Errors, Flight, Heliostat, Sightings, camera_point, fly, pattern, read, seen, stand
 from benchsim.drones.heliostat import Design, Mount, aimed, axes
 from benchsim.instruments.mount.geodesy import enu, geodetic
 from benchsim.plant.hiding import hidden
@@ -25,8 +26,9 @@ Array = NDArray[np.float64]
 ENU = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From east, north, up to north, west, up; its transpose leads back."""
 
-TRACKING = 2e-3
-"""1 sigma by which heliostats may look beside, where the plant states no errors of the mounts [rad]."""
+TRACKING = TILT = 2e-3
+"""1 sigma by which heliostats may look beside, and by which pylons lean, where the plant states no errors of the mounts
+[rad]."""
 
 MARGIN = 4.0
 """Such sigmas by which the pattern is wider than a mirror."""
@@ -87,9 +89,18 @@ class Cluster:
     @property
     def tracking(self) -> float:
         """1 sigma by which they may look beside [rad]: rms of those stated of IA and IE, or `TRACKING` if none is."""
+        return self._stated("IA", "IE") or TRACKING
+
+    @property
+    def tilt(self) -> float:
+        """1 sigma of the pylons [rad]: the drone's, or rms of those stated of AN and AW, or `TILT` if none is."""
+        own = self.plant.drone.tilt
+        return (self._stated("AN", "AW") or TILT) if own is None else own
+
+    def _stated(self, *names: str) -> float:
         s = self.plant.field.sigmas
-        there = [float(np.sqrt(np.mean(s[k] ** 2))) for k in ("IA", "IE") if k in s]
-        return math.sqrt(sum(x * x for x in there) / len(there)) if any(there) else TRACKING
+        there = [s[k] for k in names if k in s]
+        return float(np.sqrt(np.mean(np.square(there)))) if there else 0.0
 
     @property
     def lamps(self) -> Array:
@@ -130,11 +141,15 @@ class Cluster:
 
         Its mean is over Hessians of slope errors (`Errors.slope_scale`), whose covariance is that of a Gaussian field.
         """
-        design, away, d = self.design(k), self.distance(k), self.plant.drone
-        bent = away * self.plant.optics.slope / d.length
-        xx, yy, xy = (1 - away * design.curvature) * np.array([[1.0], [1.0], [0.0]]) - bent * HESSIANS
+        design, (xx, yy, xy) = self.design(k), self._mapping(k)
         folds = float(np.mean(np.abs(xx * yy - xy * xy)))
-        return float(len(design.centres) * np.prod(design.size) * folds / d.pitch**2)
+        return float(len(design.centres) * np.prod(design.size) * folds / self.plant.drone.pitch**2)
+
+    def _mapping(self, k: int) -> Array:
+        """(3, draws): 1 − D Hessian of a heliostat, xx, yy and xy, with slope errors drawn."""
+        away, o = self.distance(k), self.plant.optics
+        flat = (1 - away * self.design(k).curvature) * np.array([[1.0], [1.0], [0.0]])
+        return np.asarray(flat - away * o.slope / self.plant.drone.length * HESSIANS)
 
     def frames(self, k: int) -> float:
         """How many pictures are expected to show any: the mirror's image at the pattern, two sigma of slopes wider."""
@@ -152,11 +167,19 @@ class Cluster:
         """From a heliostat to the target [mm]."""
         return float(np.linalg.norm(self.target - self.place(k)))
 
-    def sigma(self, k: int) -> tuple[float, float, float]:
-        """σ_ad, σ_mean and σ_sys expected [rad]; glints of one picture count once, as they share what is wrong."""
+    def sigma(self, k: int, measured: bool = False) -> tuple[float, float, float]:
+        """σ_ad, σ_mean and σ_sys expected [rad]; glints of one picture count once, as they share what is wrong.
+
+        With the surface by design, or ``measured``: slopes are then wrong by the map's errors, and by what a glint that
+        is read beside its place is off on a wavy mirror, more often where that is steep.
+        """
         d, away = self.plant.drone, self.distance(k)
-        slope = abs(1 / away - self.design(k).curvature)
-        width = math.hypot(self.slope(k), d.detection * slope, d.relative / away)
+        beside, slope = abs(1 / away - self.design(k).curvature), self.slope(k)
+        if measured:
+            xx, yy, xy = self._mapping(k)
+            beside = math.sqrt(np.average(xx * xx + xy * xy, weights=np.abs(xx * yy - xy * xy))) / away
+            slope = d.map_slope
+        width = math.hypot(slope, d.detection * beside, d.relative / away)
         return (
             width,
             width / math.sqrt(max(min(self.glints(k), self.frames(k)), 1.0)),
@@ -169,8 +192,18 @@ class Cluster:
         return Errors(
             rtk_relative=d.relative, rtk_absolute=d.absolute, detection=d.detection, position=d.position,
             offset=d.kinematics, slope=self.plant.optics.slope, slope_scale=d.length, canting=d.canting,
-            tracking=self.tracking,
+            tracking=self.tracking, tilt=self.tilt, map_slope=d.map_slope, map_scale=d.map_length,
+            false_glints=d.false_glints,
         )  # fmt: skip
+
+    def fly(self, rng: np.random.Generator) -> Iterator[tuple[int, Flight, Heliostat, Sightings]]:
+        """Fly it virtually: of each heliostat its index, the flight, the truth, and what is read of its glints."""
+        errors = self.errors()
+        flight = fly(self.target, self.route, errors, rng, self.lamps)
+        for k in map(int, self.who):
+            design = self.design(k)
+            (h,) = stand([self.place(k)], design, self.target, errors, rng)
+            yield k, flight, h, read(seen(h, flight), len(flight.cameras), design, errors, rng)
 
     def hidden(self) -> NDArray[np.bool_]:
         """Which of them stand behind another mirror, of the whole cluster, as the drone sees them."""

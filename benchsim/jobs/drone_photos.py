@@ -20,10 +20,10 @@ from benchsim.drones.estimate import FEWEST, estimate
 from benchsim.drones.flight import Sightings
 from benchsim.drones.heliostat import design_map
 from benchsim.jobs.drone_cluster import ENU, Cluster, clusters
+from benchsim.jobs.drone_flown import stated
 from benchsim.jobs.drone_places import places_of
 from benchsim.jobs.drone_sightings import lens_of, sightings_of
 from benchsim.jobs.output import wanted_folder, written
-from benchsim.jobs.plant_drone import stated
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.plant import files

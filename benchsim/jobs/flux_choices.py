@@ -1,4 +1,4 @@
-"""What ``benchsim flux`` lets one choose, for the command line and the job; nothing heavy is loaded for it."""
+"""What commands of plants let one choose, for the command line and the job; nothing heavy is loaded for it."""
 
 from __future__ import annotations
 
@@ -20,3 +20,10 @@ class FluxEngine(StrEnum):
     product = "product"
     carlo = "carlo"
     both = "both"
+
+
+class DroneSurface(StrEnum):
+    """With which surface of the mirrors a drone's glints are compared."""
+
+    design = "design"
+    measured = "measured"

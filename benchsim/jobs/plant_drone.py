@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,10 +15,10 @@ from threadpoolctl import threadpool_limits
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_csv, write_text
-from benchsim.drones.estimate import FEWEST, Pointing, axis_error, estimate
-from benchsim.drones.flight import fly, read, seen, stand
-from benchsim.drones.heliostat import design_map
+from benchsim.drones.estimate import FEWEST
 from benchsim.jobs.drone_cluster import ENU, Cluster, clusters
+from benchsim.jobs.drone_flown import Flown, fly
+from benchsim.jobs.flux_choices import DroneSurface
 from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
@@ -40,23 +39,6 @@ CLIMB = 5.0
 """Lowest height of the drone over the highest mirror [m]."""
 
 
-@dataclass(frozen=True)
-class Flown:
-    """What a virtual flight told of one heliostat: error and stated sigma of its axis about x and y [rad]."""
-
-    glints: int
-    outliers: int
-    error: tuple[float, float]
-    sigma_mean: tuple[float, float]
-    sigma_sys: float
-    says: str = ""
-
-    @property
-    def pull(self) -> Array:
-        """(2,) errors over the stated sigma."""
-        return np.asarray(np.array(self.error) / np.hypot(self.sigma_mean, self.sigma_sys))
-
-
 @dataclass(frozen=True, repr=False)
 class DroneResult(Shown):
     """A flight over a plant.
@@ -70,6 +52,8 @@ class DroneResult(Shown):
     flown : mapping of int to Flown, or None
         By index into the field.
     seed : int
+    surface : {"design", "measured"}
+        With which the glints are compared.
     folder : Path or None
     """
 
@@ -78,6 +62,7 @@ class DroneResult(Shown):
     hidden: dict[int, bool]
     flown: dict[int, Flown] | None = None
     seed: int = 0
+    surface: str = "design"
     folder: Path | None = None
 
     def rows(self) -> list[dict[str, Any]]:
@@ -92,7 +77,7 @@ class DroneResult(Shown):
             east = c.target @ ENU + c.middle
             for k in c.who:
                 mount, frames = c.mount(int(k)), c.seen(int(k))
-                width, mean, system = c.sigma(int(k))
+                width, mean, system = c.sigma(int(k), self.surface == "measured")
                 row: dict[str, Any] = {"id": f.ids[k], "cluster": c.number}
                 row |= dict(zip(("aim_east_m", "aim_north_m", "aim_up_m"), (east / 1e3).tolist(), strict=True))
                 row |= {
@@ -111,17 +96,7 @@ class DroneResult(Shown):
                     "sigma_mrad": 1e3 * float(np.hypot(mean, system)),
                 }
                 if self.flown is not None:
-                    one = self.flown[int(k)]
-                    row |= {
-                        "flown_glints": one.glints,
-                        "flown_outliers": one.outliers,
-                        "error_x_mrad": None if one.says else 1e3 * one.error[0],
-                        "error_y_mrad": None if one.says else 1e3 * one.error[1],
-                        "flown_sigma_mrad": None
-                        if one.says
-                        else 1e3 * float(np.hypot(max(one.sigma_mean), one.sigma_sys)),
-                        "says": one.says,
-                    }
+                    row |= self.flown[int(k)].row()
                 out.append(row)
         return out
 
@@ -143,6 +118,7 @@ class DroneResult(Shown):
             "title": self.plant.title,
             "pictures": self.pictures,
             "seconds": self.pictures * self.plant.drone.each,
+            "surface": self.surface,
             "clusters": [
                 {
                     "number": c.number,
@@ -191,10 +167,11 @@ class DroneResult(Shown):
             pulls = self.pulls()
             errors = np.array([x.error for x in self.flown.values() if not x.says])
             said = len(self.flown) - len(errors)
+            told = ", with a measured map of each mirror" if self.surface == "measured" else ""
             if len(errors):
                 lines.append(
-                    f"  flown virtually, seed {self.seed}: errors {1e3 * np.sqrt(np.mean(errors**2)):.2g} mrad rms, "
-                    f"{np.sqrt(np.mean(pulls**2)):.2f} of the stated sigma; within one sigma "
+                    f"  flown virtually, seed {self.seed}{told}: errors {1e3 * np.sqrt(np.mean(errors**2)):.2g} mrad "
+                    f"rms, {np.sqrt(np.mean(pulls**2)):.2f} of the stated sigma; within one sigma "
                     f"{100 * np.mean(np.abs(pulls) < 1):.0f} %"
                 )
             if said:
@@ -230,6 +207,7 @@ def drone(
     output: Path | str | None = None,
     *,
     virtual: bool = False,
+    surface: str = "design",
     seed: int = 0,
     allow_outside: bool = False,
     progress: Progress = silent,
@@ -245,6 +223,8 @@ def drone(
         ``summary.txt``; default: nothing is written.
     virtual : bool
         Fly it: errors drawn, glints computed, axes estimated.
+    surface : {"design", "measured"}
+        With which the glints are compared: as the drawings have it, or a deflectometer's map of each mirror.
     seed : int
         Of the virtual flight.
     allow_outside : bool
@@ -266,50 +246,20 @@ def drone(
             f"{p.path.name}: heliostats.kinematics: the drone's estimate turns azimuth and elevation; "
             f"{p.field.kinematics} mounts are not read by it"
         )
+    if surface not in tuple(DroneSurface):
+        raise BenchsimError(f"--surface: {surface!r} is none of {', '.join(DroneSurface)}; mend it")
     parts = clusters(p)
     hidden: dict[int, bool] = {}
     for k, c in enumerate(parts):
         progress("plan", 0.1 * k / len(parts))
         hidden |= dict(zip(c.who.tolist(), c.hidden().tolist(), strict=True))
-    with wanted_folder(output, "drone", p.files, {"virtual": virtual, "seed": seed}) as staging:
-        flown = _flown(parts, seed, lambda done: progress("flight", 0.1 + 0.85 * done)) if virtual else None
-        result = DroneResult(p, tuple(parts), hidden, flown, seed, None if output is None else Path(output))
+    with wanted_folder(output, "drone", p.files, {"virtual": virtual, "seed": seed, "surface": surface}) as staging:
+        flown = fly(parts, seed, surface, lambda done: progress("flight", 0.1 + 0.85 * done)) if virtual else None
+        result = DroneResult(p, tuple(parts), hidden, flown, seed, surface, None if output is None else Path(output))
         if staging is not None:
             _write(result, staging)
     progress("done", 1.0)
     return result
-
-
-def _flown(parts: list[Cluster], seed: int, told: Callable[[float], None]) -> dict[int, Flown]:
-    out: dict[int, Flown] = {}
-    rng = np.random.default_rng([seed, 48])
-    count = sum(len(c.who) for c in parts)
-    for c in parts:
-        errors = c.errors()
-        flight = fly(c.target, c.route, errors, rng, c.lamps)
-        for k in c.who:
-            told(len(out) / count)
-            design = c.design(int(k))
-            (h,) = stand([c.place(int(k))], design, c.target, errors, rng)
-            sightings = read(seen(h, flight), len(flight.cameras), design, errors, rng)
-            system = c.sigma(int(k))[2]
-            try:
-                e = estimate(sightings, flight.said_cameras, flight.said_lamps, h.said, design_map(design))
-            except BenchsimError as error:
-                out[int(k)] = Flown(len(sightings.frame), 0, (np.nan, np.nan), (np.nan, np.nan), system, str(error))
-                continue
-            off = axis_error(e, h.mount, h.axis)
-            mean = stated(e)
-            out[int(k)] = Flown(
-                len(sightings.frame), int((~e.kept).sum()), (float(off[0]), float(off[1])),
-                (float(mean[0]), float(mean[1])), system,
-            )  # fmt: skip
-    return out
-
-
-def stated(pointing: Pointing) -> Array:
-    """(2,) σ_mean that is stated [rad]: the paper's, or that with a picture's glints as one draw where it is larger."""
-    return np.maximum(pointing.sigma_mean, pointing.sigma_mean_frames)
 
 
 def _write(r: DroneResult, folder: Path) -> None:

@@ -106,6 +106,7 @@ class PrismsTable(Table):
 
 
 Millimetres = Annotated[float, Field(ge=0, le=1000)]
+Length = Annotated[float, Field(ge=0.02, le=10)]
 
 
 class DroneTable(Table):
@@ -123,7 +124,11 @@ class DroneTable(Table):
     position_mm: Millimetres = 10.0
     kinematics_mm: Millimetres = 30.0
     canting_mrad: Mrad = 0.4
-    slope_length_m: Annotated[float, Field(ge=0.02, le=10)] = 0.25
+    slope_length_m: Length = 0.25
+    tilt_mrad: Mrad | None = None
+    map_mrad: Mrad = 0.1
+    map_length_m: Length = 0.1
+    false_glints: Fraction = 0.01
 
 
 class PlantFile(Table):

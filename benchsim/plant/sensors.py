@@ -73,7 +73,8 @@ def drone(d: schema.DroneTable) -> DroneFlight:
         1e3 * d.distance_m, None if d.azimuth_deg is None else math.radians(d.azimuth_deg),
         math.radians(d.elevation_deg), 1e3 * d.pitch_m, d.seconds_each, d.at_once, (d.lamp_right_mm, d.lamp_up_mm),
         d.rtk_relative_mm, d.rtk_absolute_mm, d.detection_mm, d.position_mm, d.kinematics_mm, 1e-3 * d.canting_mrad,
-        1e3 * d.slope_length_m,
+        1e3 * d.slope_length_m, None if d.tilt_mrad is None else 1e-3 * d.tilt_mrad, 1e-3 * d.map_mrad,
+        1e3 * d.map_length_m, d.false_glints,
     )  # fmt: skip
 
 

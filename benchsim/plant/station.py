@@ -131,6 +131,12 @@ class DroneFlight:
         1 sigma of a facet.
     length : float
         Of slope errors.
+    tilt : float or None
+        1 sigma of a pylon, about north and about west; None: as the mounts' AN and AW are stated.
+    map_slope, map_length : float
+        1 sigma of a deflectometer's map of the mirror, per component, and the length of its errors.
+    false_glints : float
+        Chance per picture and heliostat that something else is taken for a glint.
     """
 
     distance: float = 150e3
@@ -147,3 +153,7 @@ class DroneFlight:
     kinematics: float = 30.0
     canting: float = 0.4e-3
     length: float = 250.0
+    tilt: float | None = None
+    map_slope: float = 0.1e-3
+    map_length: float = 100.0
+    false_glints: float = 0.01

@@ -2,16 +2,21 @@
 
 import csv
 import json
+import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy import stats
 from typer.testing import CliRunner
 
 import benchsim as bs
+from benchsim.bench.errors import BenchsimError
 from benchsim.cli import app
-from benchsim.drones.flight import fly, read, seen, stand
+from benchsim.drones.flight import fly, seen, stand
 from benchsim.jobs import drone_photos
 from benchsim.jobs.drone_cluster import ENU, clusters
 from benchsim.plant import files
@@ -42,6 +47,7 @@ IE_sigma_mrad = 1.0
 pitch_m = 0.7
 """
 PLACES = ((-8, 150), (0, 155), (9, 150))
+SHIPPED = Path(__file__).resolve().parents[2] / "scenes" / "plants"
 
 
 def run(*words):
@@ -117,17 +123,128 @@ def test_waypoints_are_where_the_camera_point_is(plant):
     assert np.linalg.norm(c.target) == pytest.approx(150e3) and toward[1] > 0
 
 
-def test_large_fields_are_cut_into_clusters(shipped_radial):
-    parts = clusters(files.read(shipped_radial))
+def test_large_fields_are_cut_into_clusters():
+    parts = clusters(files.read(SHIPPED / "radial100"))
     assert sorted(np.concatenate([c.who for c in parts])) == list(range(100))
     assert max(len(c.who) for c in parts) <= 12
 
 
-@pytest.fixture
-def shipped_radial():
-    from pathlib import Path
+@pytest.fixture(scope="module")
+def heliopoint():
+    """The paper's plant, flown twice with either surface: 24 heliostats."""
+    plant = files.read(SHIPPED / "heliopoint")
+    return {s: [bs.drone(plant, virtual=True, surface=s, seed=k) for k in (31, 32)] for s in ("design", "measured")}
 
-    return Path(__file__).resolve().parents[2] / "scenes" / "plants" / "radial100"
+
+def flown_of(results):
+    return [x for r in results for x in r.flown.values()]
+
+
+def test_the_shipped_plant_looks_where_the_papers_does(heliopoint):
+    """Tables 4 and 5: azimuth 214, elevation 14 deg; twelve in one cluster, none behind another."""
+    result = heliopoint["design"][0]
+    (c,) = result.clusters
+    north, west, up = c.target / 150e3
+    assert np.degrees(math.atan2(-west, north)) % 360 == pytest.approx(214) and np.degrees(math.asin(up)) == (
+        pytest.approx(14)
+    )
+    assert len(result.flown) == 12 and not any(result.hidden.values())
+
+
+def test_the_budget_is_the_papers(heliopoint):
+    """Widths of about 1 and 0.2 mrad; σ_mean ≤ 0.2 and ≤ 0.1 of Table 2; σ_tot about 0.3 and below."""
+    for surface, low, high, mean in (("design", 0.6e-3, 1.1e-3, 0.2e-3), ("measured", 0.1e-3, 0.3e-3, 0.1e-3)):
+        flown = flown_of(heliopoint[surface])
+        assert low < np.median([x.pointing.sigma_ad for x in flown]) < high
+        assert max(x.pointing.sigma_mean.max() for x in flown) < mean
+        assert max(x.sigma.max() for x in flown) < 0.3e-3
+        rows = [r for one in heliopoint[surface] for r in one.rows()]
+        assert [r["flown_sigma_mean_x_mrad"] for r in rows] == [1e3 * x.pointing.sigma_mean[0] for x in flown]
+        # The width of 24 heliostats' differences is known to 2 %, that of folds drawn to 3 %; outliers cut tails.
+        expected = np.median([r["sigma_ad_mrad"] for r in rows])
+        assert 1e3 * np.median([x.pointing.sigma_ad for x in flown]) == pytest.approx(expected, rel=0.15)
+
+
+def test_the_stated_uncertainty_covers_the_truth(heliopoint):
+    """24 heliostats, 48 pulls: χ² beyond its 1e-4 quantile fails; an unstated shift of 0.4 mrad must fail."""
+    low, limit = stats.chi2.ppf([1e-4, 1 - 1e-4], 48)
+    for results in heliopoint.values():
+        flown = flown_of(results)
+        square = sum((x.pull**2).sum() for x in flown)
+        assert low / 1.5 < square < limit
+        assert sum((((x.error + 0.4e-3) / x.sigma) ** 2).sum() for x in flown) > limit
+
+
+ERRORS = ("relative", "absolute", "detection", "position", "kinematics", "tilt", "canting", "false_glints")
+
+
+@pytest.mark.parametrize(
+    ("drone", "slope", "broadens", "shifts"),
+    [
+        ({"relative": 10.0}, 0.0, True, False),
+        ({"absolute": 10.0}, 0.0, False, True),
+        ({"detection": 20.0}, 0.0, True, False),
+        ({"position": 10.0}, 0.0, False, True),
+        ({"kinematics": 30.0, "tilt": 2e-3}, 0.0, True, True),
+        ({}, 0.7e-3, True, False),
+        ({"canting": 0.4e-3}, 0.0, True, False),
+    ],
+    ids=["rtk", "rtk-absolute", "detection", "position", "kinematics", "surface", "canting"],
+)
+def test_each_source_broadens_or_shifts(drone, slope, broadens, shifts):
+    """Table 1, but for canting: unequal facets make a mixture, which is wider. Twelve heliostats; widths above 0.002
+    mrad, errors beyond twice what σ_mean says."""
+    plant = files.read(SHIPPED / "heliopoint")
+    plant = replace(
+        plant, optics=replace(plant.optics, slope=slope),
+        drone=replace(plant.drone, **dict.fromkeys(ERRORS, 0.0) | drone),
+    )  # fmt: skip
+    flown = bs.drone(plant, virtual=True, seed=41).flown.values()
+    width, mean = (np.mean([np.square(getattr(x.pointing, n)) for x in flown]) for n in ("sigma_ad", "sigma_mean"))
+    assert (math.sqrt(width) > 2e-6) == broadens
+    assert (np.mean([x.error**2 for x in flown]) > 4 * mean) == shifts
+
+
+def test_a_surface_that_is_none_is_told(plant):
+    with pytest.raises(BenchsimError, match="none of design, measured"):
+        bs.drone(plant, surface="both")
+
+
+def test_the_map_errs_as_the_plant_states_it(plant, tmp_path):
+    """A map that is 1 mrad wrong makes the differences as wide; rms of six, each of some 25 glints in bunches."""
+    file = plant / "plant.toml"
+    file.write_text(file.read_text().replace("pitch_m = 0.7", "pitch_m = 0.45\nmap_mrad = 1.0\nfalse_glints = 0"))
+    done = run("drone", plant, "--fly", "--surface", "measured", "-o", tmp_path / "o")
+    assert done.exit_code == 0 and "with a measured map of each mirror" in done.output, done.output
+    plain = json.loads((tmp_path / "o" / "drone.json").read_text())
+    assert plain["surface"] == "measured"
+    rows = plain["heliostats"]
+    assert [r["sigma_ad_mrad"] for r in rows] == pytest.approx([1.0] * 3, rel=0.05)
+    widths = [r[f"flown_sigma_ad_{axis}_mrad"] for r in rows for axis in "xy"]
+    assert np.sqrt(np.mean(np.square(widths))) == pytest.approx(1.0, rel=0.3)
+
+
+def test_something_else_is_taken_for_a_glint_as_often_as_stated(plant):
+    file, glints = plant / "plant.toml", []
+    text = file.read_text()
+    for share in (0, 1):
+        file.write_text(text + f"false_glints = {share}\n")
+        (c,) = clusters(files.read(plant))
+        _, flight, h, sightings = next(c.fly(np.random.default_rng(3)))
+        glints.append(len(sightings.frame) - len(seen(h, flight).frame))
+    assert glints == [0, len(c.route[0])]
+
+
+@pytest.mark.parametrize(
+    ("errors", "drone", "tilt"),
+    [("", "", 2.0), ("AN_sigma_mrad = 0.6\nAW_sigma_mrad = 0.8\n", "", math.sqrt(0.5)), ("AN_sigma_mrad = 0.6\n",
+     "tilt_mrad = 0\n", 0.0)], ids=["not stated", "of the mounts", "of the drone"],
+)  # fmt: skip
+def test_pylons_lean_as_the_plant_states_it(plant, errors, drone, tilt):
+    file = plant / "plant.toml"
+    file.write_text(file.read_text().replace("[drone]\n", f"{errors}[drone]\n{drone}"))
+    (c,) = clusters(files.read(plant))
+    assert c.errors().tilt == pytest.approx(1e-3 * tilt)
 
 
 @pytest.mark.parametrize(
@@ -195,13 +312,9 @@ def test_azimuths_err_by_their_sigma_also_high_up(plant):
     table = plant / "heliostats.csv"
     table.write_text("\n".join(["id,east_m,north_m,up_m", *(f"H{k},{9 * k - 23},150,2" for k in range(6))]))
     (c,) = clusters(files.read(plant))
-    rng, errors = np.random.default_rng(72), c.errors()
-    flight = fly(c.target, c.route, errors, rng, c.lamps)
     pulls, rows = [], []
-    for k in c.who:
-        (h,) = stand([c.place(k)], c.design(k), c.target, errors, rng)
-        sightings = read(seen(h, flight), len(flight.cameras), c.design(k), errors, rng)
-        row = drone_photos._row(c, int(k), sightings, flight.said_cameras, 0, len(flight.cameras))
+    for k, flight, h, sightings in c.fly(np.random.default_rng(72)):
+        row = drone_photos._row(c, k, sightings, flight.said_cameras, 0, len(flight.cameras))
         x, y, z = h.axis
         off = 1e3 * np.array([np.arctan2(-y, x) - h.said.azimuth, np.arcsin(z) - h.said.elevation])
         kinds = ("azimuth", "elevation")
