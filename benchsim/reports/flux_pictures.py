@@ -28,7 +28,11 @@ def flux(name: str, kind: str, u: Array, v: Array, values: Array, levels: Sequen
         Of contours, in the same unit.
     day : bool
     """
-    unit = "kWh/m²" if day else "kW/m²"
+    unit = "kW/m²"
+    if day:
+        # A year's energy on a square metre is millions of kWh.
+        factor, unit = (1e-3, "MWh/m²") if values.max() >= 1e4 else (1.0, "kWh/m²")
+        values, levels = factor * values, [factor * level for level in levels]
     figure, axes, x, z = _on(kind, u, v, values, {"cmap": "inferno", "vmin": 0}, unit)
     there = sorted({level for level in levels if 0 < level < values.max()})
     if there:

@@ -151,12 +151,13 @@ def _labels(plain: Mapping[str, Any]) -> dict[str, Any]:
     rates = [r[f"rate_{k}_hz"] for r in plain["heliostats"] for k in ("elevation", "azimuth")]
     rates = [x for x in rates if x is not None]
     clash = "; ".join(f"{a:.4g} and {b:.4g} Hz" for a, b in plain["clashes_hz"])
+    apart = plain["labels_apart"] / plain["record_s"]
     rows = [
         ("record", f"{plain['record_s']:.4g} s, {plain['sample_rate_hz']} samples a second"),
         ("rounds", str(plain["rounds"])),
         (
             "labels",
-            f"{min(rates):.4g} to {max(rates):.4g} Hz, {plain['labels_apart']:.1f} by the record's length apart",
+            f"{min(rates):.4g} to {max(rates):.4g} Hz, {apart:.2g} Hz apart or more",
         ),
         ("beat or share a harmonic", clash or "none"),
     ]

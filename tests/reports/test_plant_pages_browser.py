@@ -54,6 +54,17 @@ def test_a_wide_table_scrolls_in_its_own_box_and_says_so(browser, plant_pages, n
     assert right <= 390
 
 
+@pytest.mark.parametrize("place", WIDTHS)
+def test_short_names_of_heliostats_stand_on_one_line(browser, plant_pages, place):
+    browser.show(plant_pages["flux"], WIDTHS[place])
+    boxes = browser.value(
+        "[...document.querySelectorAll('#rows tbody tr')].map(r => r.getBoundingClientRect().height)"
+        ".concat(parseFloat(getComputedStyle(document.querySelector('#rows')).fontSize))"
+    )
+    *heights, letter = boxes
+    assert max(heights) < 3.5 * letter, "two lines of text and the cell's padding"
+
+
 def test_what_errors_cost_is_seen_on_a_phone_before_anything_is_scrolled(browser, plant_pages):
     browser.show(plant_pages["flux"], 390)
     heads = browser.value(
