@@ -101,4 +101,5 @@ def test_batches_give_every_heliostat_and_every_lit_point_once(monkeypatch):
         found[np.ix_(some, lit)] += values
         seen += list(some)
     assert sorted(seen) == list(range(7))
-    np.testing.assert_allclose(found, whole, rtol=1e-12)
+    # Differences of error functions: in a beam's wings what rounds in them is a larger part of what is left.
+    np.testing.assert_allclose(found, whole, rtol=1e-12, atol=1e-12 * whole.max())
