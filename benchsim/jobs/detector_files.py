@@ -59,7 +59,7 @@ def read_record(path: Path, count: int) -> tuple[float, Array, NDArray[np.int_]]
     if body[:4] in (b"RIFF", b"RIFX", b"RF64"):
         return _wav(path, body, count)
     try:
-        if body[:8] == detector_hdf5.SIGNATURE:
+        if detector_hdf5.is_hdf5(body):
             return _columns(*detector_hdf5.columns(body, RECORD_BYTES // 8), count)
         return _columns(_csv(body), None, count)
     except ValueError as error:

@@ -6,6 +6,7 @@ A file from a stranger must not reach others: what lies in another file, or has 
 from __future__ import annotations
 
 import io
+import math
 
 import h5py
 import numpy as np
@@ -14,13 +15,19 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-"""With which every such file begins (HDF5 File Format Specification, II.A)."""
+USER_BLOCKS = (0, *(512 << k for k in range(12)))
+"""Before it a writer's own block may stand, of MATLAB's 512 bytes (HDF5 File Format Specification, II.A)."""
 
 PLAIN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_LZF}
 """Compressions that h5py itself unpacks; others are libraries looked up by name."""
 
 ALL_AT_ONCE = "samples"
 """A dataset of samples by detectors, in the order of ``detectors.csv``."""
+
+
+def is_hdf5(body: bytes) -> bool:
+    """Whether a file begins as HDF5 does."""
+    return any(body.startswith(SIGNATURE, start) for start in USER_BLOCKS)
 
 
 def columns(body: bytes, most: int) -> tuple[dict[str, Array], float | None]:
@@ -64,9 +71,10 @@ def _columns(file: h5py.File, most: int) -> dict[str, Array]:
         filters = {plist.get_filter(k)[0] for k in range(plist.get_nfilters())}
         if data.external or data.is_virtual or not filters <= PLAIN_FILTERS:
             raise ValueError(f"dataset {name!r:.60} lies elsewhere or is packed by a plug-in; save it plain or by gzip")
-        left -= data.size or 0
+        # A chunk is unpacked whole, however little of it is used.
+        left -= max(data.size or 0, math.prod(data.chunks or ()))
         if left < 0:
-            raise ValueError(f"holds more than {most:,} numbers; cut the record")
+            raise ValueError(f"holds more than {most:,} numbers, or chunks as large; cut the record")
         if name == ALL_AT_ONCE and data.ndim == 2:
             out |= {f"detector_{k + 1}": np.asarray(c, float) for k, c in enumerate(data[()].T)}
         elif data.ndim == 1:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.names import printable
 from benchsim.bench.writing import write_text
@@ -73,8 +76,8 @@ class PlantCheck(Shown):
         return "\n".join(
             [
                 f"{self.name}: {counted(len(f), 'heliostat')}, {f.area.sum() / 1e6:.4g} m² of mirrors, "
-                f"{far.min():.0f} to {far.max():.0f} m from where they aim: {kinds}",
-                f"light spreads by {' to '.join(dict.fromkeys(f'{x:.2f}' for x in (spread.min(), spread.max())))} mrad "
+                f"{_ends(far, 0)} m from where they aim: {kinds}",
+                f"light spreads by {_ends(spread, 2)} mrad "
                 "(1 sigma in one direction), of which "
                 f"the sun's shape {1e3 * self.plant.sun.sigma:.2f}",
                 f"errors of the mounts ({f.kinematics}): {', '.join(errors) or 'none are stated'}"
@@ -83,6 +86,11 @@ class PlantCheck(Shown):
                 f"next: benchsim flux {self.plant.path.parent} --at TIME, or --day DATE",
             ]
         )
+
+
+def _ends(values: NDArray[np.float64], decimals: int) -> str:
+    """The least and the largest, once if they are alike."""
+    return " to ".join(dict.fromkeys(f"{x:.{decimals}f}" for x in (values.min(), values.max())))
 
 
 def begin(folder: Path, heliostats: int) -> PlantMade:

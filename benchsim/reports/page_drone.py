@@ -100,7 +100,7 @@ def planned(plain: Mapping[str, Any], name: str, summary: str, pictures: Mapping
         pictures={CAPTIONS[k]: png for k, png in pictures.items()},
         maps="The flight",
         sections=[
-            _budget(rows, [("errors of the virtual flight, each angle", flown)] if flown else []),
+            _budget(rows, [("errors of the virtual flight, each angle, as they are (no σ)", flown)] if flown else []),
             page_plant.section(
                 "clusters",
                 "Clusters and pictures",

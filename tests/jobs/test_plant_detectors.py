@@ -122,7 +122,7 @@ def test_a_table_of_some_detectors_is_read_too(plant, planned, tmp_path):
 @pytest.mark.parametrize("layout", ["samples", "columns"])
 def test_hdf5_says_what_the_wav_says(plant, planned, tmp_path, layout):
     rate, data = wavfile.read(planned[0] / "record.wav")
-    with h5py.File(tmp_path / "r.h5", "w") as file:
+    with h5py.File(tmp_path / "r.h5", "w", userblock_size=512 if layout == "samples" else 0) as file:
         if layout == "samples":
             file.create_dataset("samples", data=data, compression="gzip").attrs["rate_hz"] = rate
         else:
@@ -154,6 +154,10 @@ def put_bomb(file, elsewhere):
     file.create_dataset("samples", (2**40, 3), "u1", chunks=(1024, 3), compression="gzip")
 
 
+def put_chunk(file, elsewhere):
+    file.create_dataset("samples", (300, 3), "u1", maxshape=(None, 3), chunks=(2**25, 3), compression="gzip")
+
+
 def put_nothing(file, elsewhere):
     file["detector_1"] = np.arange(300.0)
 
@@ -164,7 +168,8 @@ def put_nothing(file, elsewhere):
         (put_link, "lies elsewhere"),
         (put_raw, "lies elsewhere"),
         (put_view, "lies elsewhere"),
-        (put_bomb, "numbers; cut the record"),
+        (put_bomb, "cut the record"),
+        (put_chunk, "cut the record"),
         (put_nothing, "states no sampling rate"),
     ],
 )
