@@ -3,7 +3,7 @@
 Nuisances, amplitudes (in fit space, value**power) and shapes are fitted together (`least_squares`). The evidence is
 Laplace's about that point, with the exact residual: everything Gaussian in closed form, amplitudes at a boundary
 integrated (`evidence`), setting scale and field sigma summed over their grids. A shape's uniform prior enters as a
-Gaussian of the same height, range/√(2π) wide.
+Gaussian of the same height, range/√(2π) wide, and where an end of the range holds the shape, as what it is.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
+from scipy.special import erfcx, logsumexp
 
 from benchsim.diagnosis import evidence, settings
 from benchsim.diagnosis.hypothesis import Context, Effects, Fit, Hypothesis, Point, Solved, span, values
@@ -268,10 +268,36 @@ def about(context: Context, h: Hypothesis, end: Solution) -> Linear:
 
 
 def _cells(context: Context, h: Hypothesis, end: Solution) -> Array:
-    p = len(context.problem.nuisances)
     if not np.isfinite(end.cost):
         return np.full((len(context.scales), len(h.terms)), -np.inf)
-    return settings.log_cells(about(context, h, end), -end.jacobian[:, p:], context.scales, context.weights, h.terms)
+    lin = about(context, h, end)
+    columns, weight = _held(context, h, end)
+    return settings.log_cells(lin, columns, context.scales, context.weights, h.terms) + weight
+
+
+def _held(context: Context, h: Hypothesis, end: Solution) -> tuple[Array, float]:
+    """Columns of amplitudes and shapes but for shapes that an end of their range holds, and ln of these' integrals.
+
+    Where the posterior falls by F per unit from there on, with curvature K once all else follows, ∫ exp(−F t − ½ K t²)
+    dt over t > 0 is √(π/2K) erfcx(F/√2K), over the range. A Gaussian would count what lies beyond the range as had.
+    """
+    p, first = len(context.problem.nuisances), len(end.theta) - len(h.shapes)
+    columns, force = -end.jacobian[:, p:].copy(), end.jacobian.T @ end.residual
+    inside = end.jacobian[:, :first]
+    precision = _prior(context, h, (0, _first_term(h)))[0][:first]
+    weight = 0.0
+    for k, shape in enumerate(h.shapes, first):
+        low, high = min(shape.grid), max(shape.grid)
+        inward = force[k] if end.theta[k] <= low else -force[k] if end.theta[k] >= high else 0.0
+        if inward <= 0.0:
+            continue
+        own = end.jacobian[:, k]
+        cross = inside.T @ own
+        curvature = own @ own - cross @ np.linalg.lstsq(inside.T @ inside + np.diag(precision), cross)[0]
+        root = np.sqrt(2 * max(float(curvature), 1e-300))
+        weight += min(0.0, float(np.log(np.sqrt(np.pi) / root * erfcx(inward / root) / span(shape))))
+        columns[:, k - p] = 0.0
+    return columns, weight
 
 
 def _choose(cells: Array) -> tuple[int, int]:

@@ -11,8 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
 
 from benchsim.diagnosis import naming
+from benchsim.diagnosis.evidence import PRESENCE
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
 from benchsim.diagnosis.shapes import spread, widened
 
@@ -111,3 +114,24 @@ def test_a_place_that_outweighs_all_others_is_finite_and_as_far_off_as_it_lies()
     lost = replace(fit, values={**fit.values, "at": -0.5})
     sigma = spread(problem, covariance, lost, BUMP)
     assert sigma["at"] == pytest.approx(0.8, abs=0.02)
+
+
+@pytest.mark.parametrize("at", [-0.4, 0.9, 1.0, 1.1])
+def test_evidence_counts_no_place_beyond_the_range(at):
+    """A bump that lies within its range, at its end, or past it: what a place beyond would explain is not had. Against
+    the integral over all places, levels and sizes at once. Laplace's method is half a unit off where it bends most."""
+    # Without neighbours, or a bump may pass for noise that they share.
+    problem = replace(line(1.0, at, 0.05, 4), stretch=np.full(len(X), -1))
+    named = naming.name(problem)
+    fit = next(f for f in named.fits if f.effects == ("bump",))
+    noise = named.noise.covariance[0] + 0.5**2
+
+    def log_likelihood(place: float) -> float:
+        shape = predict({"bump": 1.0, "at": place}, 0)
+        return float(multivariate_normal(cov=noise + np.outer(shape, shape)).logpdf(problem.data))
+
+    places = np.linspace(-0.9, 0.9, 3601)
+    whole = logsumexp([log_likelihood(p) for p in places]) - np.log(len(places))
+    nothing = multivariate_normal(cov=noise).logpdf(problem.data)
+    prior = np.log(PRESENCE / (1 - PRESENCE))
+    assert fit.log_evidence - named.null.log_evidence - prior == pytest.approx(whole - nothing, abs=0.5)
