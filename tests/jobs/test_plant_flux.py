@@ -211,7 +211,7 @@ def test_the_accuracy_of_a_day_is_that_of_all_its_times_together():
     day = bs.flux(PLANTS / "five", day="2026-06-21", step=4.0, cells=10)
     relative = np.linspace(0.02, 0.04, len(day.moments))
     noisy = [
-        replace(m, noise=Noise(0 * m.power, tuple(0 * x for x in m.flux), 1000, float(a)))
+        replace(m, noise=Noise(0 * m.power, 0 * m.received, tuple(0 * x for x in m.flux), 1000, float(a)))
         for m, a in zip(day.moments, relative, strict=True)
     ]
     power = np.array([m.power.sum() for m in day.moments])
