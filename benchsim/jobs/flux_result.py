@@ -39,6 +39,8 @@ LEVELS = (0.25, 0.5, 0.75)
 COARSE = 1e-3
 """Change by the grid's edge correction above which a remark is due."""
 
+SURE = "standard error of a receiver's power or brightest cell, the larger"
+
 TOLD = 5
 """Heliostats of a summary; the files have all."""
 
@@ -209,6 +211,7 @@ class FluxResult(Shown):
             out["partings"] = [
                 {
                     "receiver": p.receiver,
+                    "time": self.times[self.brightest].isoformat(),
                     **{
                         f"{what}_{u}": dict(zip(("product", "monte_carlo", "sigma"), values, strict=True))
                         for what, u, values in (("power", "kw", p.power), ("peak", "kw_m2", p.peak))
@@ -280,9 +283,11 @@ class FluxResult(Shown):
         lines = []
         if "monte_carlo" in plain:
             m = plain["monte_carlo"]
-            error = "no receiver is lit" if m["accuracy"] is None else f"{100 * m['accuracy']:.2g} %"
-            if len(self.times) > 1 and m["accuracy"] is not None:
-                error += f" of all times together, {100 * m['accuracy_at_worst_time']:.2g} % at the worst"
+            error = "no receiver is lit"
+            if m["accuracy"] is not None:
+                error = f"{SURE}: {100 * m['accuracy']:.2g} %"
+                if len(self.times) > 1:
+                    error += f" of all times together, {100 * m['accuracy_at_worst_time']:.2g} % at the worst"
             lines.append(f"  Monte Carlo: {m['rays'] / 1e6:.3g} million rays, {error}")
         if self.partings:
             when = f"{self.times[self.brightest]:%Y-%m-%d %H:%M}, " if self.step is not None else ""
@@ -301,27 +306,39 @@ class FluxResult(Shown):
             only = "only their sigma is stated" if self.rank.sigma.any() else "none are stated"
             lines.append(f"  errors of the mounts cost nothing: {only}; --errors drawn shows what such errors would")
         elif self.rank is not None:
-            r = self.rank
-            worth = r.recalibrated > 0
-            put = (
-                f" and put {said(r.over.sum(), 'kWh', 3)} above a limit"
-                if any(x.peak_limit for x in self.plant.receivers)
-                else ""
-            )
-            back = said(r.recalibrated[worth].sum(), "kWh")
-            lines.append(
-                f"  errors of the mounts cost {said(r.lost.sum(), 'kWh')} in that time{put}; to calibrate the "
-                f"{worth.sum()} of {len(worth)} that gain by it brings back {back}, to shift all aims by constants "
-                f"{said(r.reaimed.sum(), 'kWh')}"
-            )
-            lines.append("  first to be calibrated: cost, brought back by that, and by a shift (along, up):")
-            for x in plain["rank"][:TOLD]:
-                cost, (a, b) = short(x["lost_kwh"] + x["over_limit_kwh"], 3), x["shift_m"]
-                lines.append(
-                    f"    {x['id']:<12} {cost:>9} ± {short(x['sigma_kwh'], 2)} kWh, {short(x['recalibrated_kwh'], 3)}, "
-                    f"{short(x['reaimed_kwh'], 3)} ({a:+.2f} m, {b:+.2f} m)"
-                )
+            lines += self._ranked(self.rank, plain["rank"][:TOLD])
         return lines
+
+    def _ranked(self, r: Cost, first: list[dict[str, Any]]) -> list[str]:
+        """Sentences on what errors cost, on whom it pays to mend, and on the costliest."""
+
+        def brings(kwh: float) -> str:
+            return f"{'brings back' if kwh >= 0 else 'loses another'} {said(abs(kwh), 'kWh')}"
+
+        worth, lost = r.recalibrated > 0, float(r.lost.sum())
+        put = (
+            f" and put {said(r.over.sum(), 'kWh', 3)} above a limit"
+            if any(x.peak_limit for x in self.plant.receivers)
+            else ""
+        )
+        pays = (
+            f"to calibrate the {worth.sum()} of {len(worth)} that gain by it {brings(r.recalibrated[worth].sum())}"
+            if worth.any()
+            else "to calibrate pays for none, as their sigmas leave as much to lose"
+        )
+        below = any(min(x["recalibrated_kwh"], x["reaimed_kwh"]) < 0 for x in first)
+        return [
+            f"  errors of the mounts {'cost' if lost >= 0 else 'bring'} {said(abs(lost), 'kWh')} in that time{put}; "
+            f"{pays}, to shift all aims by constants {brings(r.reaimed.sum())}",
+            "  costliest: cost, brought back by calibrating, and by a shift (along, up)"
+            f"{'; below 0 more is lost' if below else ''}:",
+            *(
+                f"    {x['id']:<12} {short(x['lost_kwh'] + x['over_limit_kwh'], 3):>9} ± {short(x['sigma_kwh'], 2)} "
+                f"kWh, {short(x['recalibrated_kwh'], 3)}, {short(x['reaimed_kwh'], 3)} "
+                f"({x['shift_m'][0]:+.2f} m, {x['shift_m'][1]:+.2f} m)"
+                for x in first
+            ),
+        ]
 
     @property
     def brightest(self) -> int:

@@ -113,8 +113,20 @@ def test_what_errors_cost_is_ranked_with_its_sigma():
     none = bs.flux(PLANTS / "five", day="2026-03-21", errors="none", step=4.0, cells=40)
     np.testing.assert_allclose(result.rank.lost, none.total("power") - result.total("power"), atol=1e-9)
     order = [r["id"] for r in result.as_dict()["rank"]]
-    assert order[0] == f"H{np.argmax(result.rank.lost) + 1}" and "first to be calibrated" in result.summary()
+    assert order[0] == f"H{np.argmax(result.rank.lost) + 1}" and "costliest: cost" in result.summary()
     assert (result.rank.sigma > 0).all()
+
+
+def test_where_no_calibration_pays_that_is_said_and_losses_are_called_so():
+    """Errors drawn from sigmas that a calibration leaves: of these five, by this seed, each rather stays."""
+    result = bs.flux(PLANTS / "five", day="2026-03-21", errors="drawn", seed=2, rank=True, step=6.0, cells=20)
+    worse = replace(result.rank, recalibrated=-0.1 - np.arange(5.0), reaimed=np.full(5, -0.25))
+    none, gain = replace(result, rank=worse).text(), replace(result, rank=replace(worse, reaimed=np.ones(5))).text()
+    assert "to calibrate pays for none" in none and "to shift all aims by constants loses another 1.25 kWh" in none
+    assert "0 of 5" not in none and "below 0 more is lost" in none
+    assert "to shift all aims by constants brings back 5 kWh" in gain
+    some = replace(result, rank=replace(worse, recalibrated=np.array([2.0, -1, -1, -1, 1]), reaimed=np.ones(5))).text()
+    assert "to calibrate the 2 of 5 that gain by it brings back 3 kWh" in some
 
 
 def test_errors_are_as_diagnosed_where_a_diagnosis_is_named(tmp_path):
@@ -219,7 +231,10 @@ def test_the_accuracy_of_a_day_is_that_of_all_its_times_together():
     said = result.as_dict()["monte_carlo"]
     assert said["accuracy"] == pytest.approx(np.sqrt(np.sum((relative * power) ** 2)) / power.sum(), rel=1e-3)
     assert said["accuracy"] < 0.03 and said["accuracy_at_worst_time"] == pytest.approx(0.04)
-    assert f"{100 * said['accuracy']:.2g} % of all times together, 4 % at the worst" in result.text()
+    assert (
+        f"power or brightest cell, the larger: {100 * said['accuracy']:.2g} % of all times together, 4 % at the worst"
+        in result.text()
+    )
     dark = replace(noisy[0], received=np.zeros(1), noise=replace(noisy[0].noise, accuracy=float("inf")))
     assert replace(result, moments=(dark, *noisy[1:])).as_dict()["monte_carlo"]["accuracy"] < 0.04
     assert "no receiver is lit" in replace(result, moments=(dark,), times=result.times[:1]).text()

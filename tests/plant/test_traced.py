@@ -167,7 +167,7 @@ def test_other_seeds_scatter_as_the_stated_errors_say(monkeypatch):
 
 
 def test_of_two_panels_side_by_side_each_ones_power_scatters_as_stated(monkeypatch):
-    """Aimed between them nearly all light lands, but on which is left to chance: thrice the error of their sum. χ² of 23
+    """Aimed between them nearly all light lands, but on which is left to chance: thrice the error of the sum. χ² of 23
     for 24 seeds, false alarm 0.1 % on each side (7.5, 49.7) of each panel."""
     monkeypatch.setattr(traced, "BATCH", 2**13)
     panels = (replace(PLANE, centre=(x, 0.0, 30e3), width=600.0) for x in (-300.0, 300.0))
