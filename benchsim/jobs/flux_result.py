@@ -74,6 +74,8 @@ class FluxResult(Shown):
     folder : Path or None
     clear : bool
         Whether the sky is a clear one, and not of a stated irradiance.
+    dark : tuple of str
+        Days of a year without sun.
     """
 
     plant: Plant
@@ -90,6 +92,7 @@ class FluxResult(Shown):
     rank: Cost | None = None
     folder: Path | None = None
     clear: bool = True
+    dark: tuple[str, ...] = ()
 
     def total(self, name: str) -> Array:
         """Of every heliostat: the sum of ``power`` or ``reflected`` through day or year [kWh], or its value [kW]."""
@@ -171,6 +174,7 @@ class FluxResult(Shown):
             "heliostats": len(f),
             "step_h": self.step,
             "each_stands_for_h": self.stands,
+            "days_without_sun": list(self.dark),
             "times": [
                 {
                     "time": t.isoformat(),
@@ -261,11 +265,15 @@ class FluxResult(Shown):
             )
         else:
             days = list(dict.fromkeys(f"{t:%Y-%m-%d}" for t in self.times))
-            what = "the year by " if len(days) > 1 else ""
+            what = "the year by " if len(days) + len(self.dark) > 1 else ""
             sky = " under a clear sky" if self.clear else ""
             when = f"{what}{', '.join(days)}, {counted(len(self.times), 'time')} {self.step:g} h apart{sky}"
         unit = self.unit
         lines = [f"{self.plant.name}: {counted(len(self.plant.field), 'heliostat')}, {when}; {of}"]
+        if self.dark:
+            lines.append(
+                f"  the sun does not rise on {', '.join(self.dark)}: nothing is added for that part of the year"
+            )
         for r in plain["receivers"]:
             on, peak = r[f"on_it_{unit.lower()}"], r[f"peak_{unit.lower()}_m2"]
             lines.append(f"  {r['name']}: {said(on, unit)}, peak {said(peak, unit)}/m²")

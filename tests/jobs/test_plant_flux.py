@@ -10,10 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 import benchsim as bs
+from benchsim.bench.errors import BenchsimError
 from benchsim.cli import app
 from benchsim.fluxes.day import Errors, clear_sky, deviated_normals, flux_at
 from benchsim.fluxes.heliostat import Heliostat, Target
 from benchsim.jobs import plant_flux
+from benchsim.plant import files
 from benchsim.plant.moment import Noise
 
 PLANTS = Path(__file__).resolve().parents[2] / "scenes" / "plants"
@@ -105,6 +107,17 @@ def test_a_year_is_a_quarter_of_each_of_four_days():
     expected = 365.25 / 4 * sum(d.total("power") for d in days)
     np.testing.assert_allclose(year.total("power"), expected, rtol=1e-12)
     assert "the year by 2026-03-21, 2026-06-21" in year.summary()
+
+
+def test_days_on_which_the_sun_does_not_rise_are_said_and_heights_have_one_sign():
+    five = files.read(PLANTS / "five")
+    polar = replace(five, site=replace(five.site, latitude=np.radians(72.0)))
+    year = bs.flux(polar, year=2026, step=6.0, cells=10)
+    assert "the sun does not rise on 2026-12-21: nothing is added" in year.text()
+    assert year.as_dict()["days_without_sun"] == ["2026-12-21"]
+    assert not bs.flux(PLANTS / "five", year=2026, step=6.0, cells=10).dark
+    with pytest.raises(BenchsimError, match=r"^--day: the sun is \d+\.\d deg below the horizon at its highest"):
+        bs.flux(polar, day="2026-12-21")
 
 
 def test_what_errors_cost_is_ranked_with_its_sigma():

@@ -23,7 +23,7 @@ def test_a_page_says_what_the_summary_says_and_fetches_nothing(plant_pages, name
     summary = (plant_pages[name].parent / "summary.txt").read_text().splitlines()
     shown = words(html)
     deep = [x.startswith("    ") for x in [*summary[1:], ""]]
-    told = [x.strip() for x, own, below in zip(summary[1:], deep, [*deep[1:], False]) if not own and not below]
+    told = [x.strip() for x, own, below in zip(summary[1:], deep, deep[1:], strict=False) if not own and not below]
     told = [x for x in told if not x.startswith("turn") and not x.endswith(":")]
     assert all(" ".join(x.split()) in shown for x in told) and " ".join(summary[0].split(": ")[-1].split()) in shown
     assert all(x.startswith("data:image/png;base64,") for x in re.findall(r'(?:src|href)="([^"]*)"', html))
