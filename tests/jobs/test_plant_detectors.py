@@ -176,6 +176,16 @@ def put_chunk(file, elsewhere):
     file.create_dataset("samples", (300, 3), "u1", maxshape=(None, 3), chunks=(2**25, 3), compression="gzip")
 
 
+def put(rate=None, **datasets):
+    def into(file, elsewhere):
+        for name, values in datasets.items():
+            file[name] = values
+        if rate is not None:
+            file.attrs["rate_hz"] = rate
+
+    return into
+
+
 def put_nothing(file, elsewhere):
     file["detector_1"] = np.arange(300.0)
 
@@ -189,10 +199,20 @@ def put_nothing(file, elsewhere):
         (put_bomb, "cut the record"),
         (put_chunk, "cut the record"),
         (put_nothing, "states no sampling rate"),
+        (put(samples=np.ones((300, 3)), rate=0.0), "rate_hz: is 0; give samples a second"),
+        (put(samples=np.ones((300, 3)), rate=np.nan), "rate_hz: is nan; give samples a second"),
+        (put(**{"detector_1/x": np.ones(300)}), "'detector_1' is a group; put a dataset"),
+        (put(detector_1=["1.5"] * 300), "'detector_1' holds no numbers; save it as"),
+        (put(samples="none"), "'samples' holds no numbers; save it as"),
+        (put(time_s=np.ones((300, 2))), "'time_s' has 2 dimensions; give"),
+        (put(samples=np.ones(300), rate=500.0), "'samples' has 1 dimension; give samples by detectors"),
+        (put(samples=np.ones((3, 300)), rate=500.0), "'samples' has 3 rows and 300 columns"),
+        (put(samples=np.ones((300, 3)), detector_1=np.ones(300), rate=500.0), "leave one of both out"),
     ],
 )
-def test_an_hdf5_reaches_no_other_file(plant, tmp_path, put, says):
-    """Links, raw storage and views of others' files, whose numbers a page would show; and what fills the memory."""
+def test_an_hdf5_that_is_no_record_is_refused_in_a_sentence(plant, tmp_path, put, says):
+    """Links, raw storage and views of others' files, whose numbers a page would show; what fills the memory; and what
+    is not laid out as a record, of which the sentence names the key and what mends it."""
     with h5py.File(tmp_path / "secret.h5", "w") as file:
         file["detector_1"] = np.arange(300.0)
     with h5py.File(tmp_path / "r.h5", "w") as file:
