@@ -253,7 +253,7 @@ class FluxResult(Shown):
         plain = self.as_dict()
         of = {
             "none": "without errors of the mounts",
-            "stated": "errors of the mounts as stated",
+            "stated": self._stated(),
             "drawn": f"errors of the mounts drawn with seed {self.seed}",
             "diagnosed": "errors of the mounts as diagnosed",
         }[self.errors]
@@ -285,6 +285,13 @@ class FluxResult(Shown):
                 f"  cells are wide for the spots, shares off by up to {plain['grid_error']:.1g}; give more with --cells"
             )
         return "\n".join([*lines, *self.plant.remarks])
+
+    def _stated(self) -> str:
+        f = self.plant.field
+        if any(map(np.any, f.errors.values())):
+            return "errors of the mounts as stated"
+        only = "of which only sigmas are stated" if any(map(np.any, f.sigmas.values())) else "as none are stated"
+        return f"without errors of the mounts, {only}"
 
     def _more(self, plain: dict[str, Any]) -> list[str]:
         """Sentences on Monte Carlo, limits and what errors cost."""

@@ -142,6 +142,17 @@ def test_where_no_calibration_pays_that_is_said_and_losses_are_called_so():
     assert "to calibrate the 2 of 5 that gain by it brings back 3 kWh" in some
 
 
+def test_errors_that_are_not_stated_are_not_called_stated():
+    five = files.read(PLANTS / "five")
+    off = {"IA": np.full(5, 1e-3)}
+    says = [
+        bs.flux(replace(five, field=replace(five.field, **x)), at=NOON, cells=10).text().splitlines()[0]
+        for x in ({}, {"sigmas": {}}, {"errors": off})
+    ]
+    assert "of which only sigmas are stated" in says[0] and "as none are stated" in says[1]
+    assert says[2].endswith("errors of the mounts as stated")
+
+
 def test_errors_are_as_diagnosed_where_a_diagnosis_is_named(tmp_path):
     file = (PLANTS / "five" / "plant.toml").read_text()
     (tmp_path / "plant.toml").write_text(file.replace("[heliostats]", '[heliostats]\ndiagnosed = "field.csv"'))
