@@ -67,6 +67,7 @@ def test_a_complaint_is_json_too_where_that_was_asked_for(tmp_path):
         (["--versoin"], "did you mean --version? 'benchsim --help'"),
         (["trial", "judge", "--agian", "x"], "did you mean --again? 'benchsim trial judge --help'"),
         (["render", "x.toml", "--seed", "one"], "'benchsim render --help' tells what it takes."),
+        (["flux", "x", "--engine", "y"], "Invalid value for '--engine': 'y' is not one of"),
         (["fitt"], "'benchsim --help' tells what it takes."),
     ],
 )

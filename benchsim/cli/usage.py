@@ -39,5 +39,6 @@ def _mend(error: Exception) -> None:
         near = difflib.get_close_matches(error.option_name, known, n=1)
         mend = f"did you mean {near[0]}? {mend}" if near else mend
         error.possibilities = None
-    said = str(error.message or "").rstrip(".")  # type: ignore[attr-defined]
+    # Of an option's choices a newer click says what kind of error it met.
+    said = str(error.message or "").replace("Value error, ", "").rstrip(".")  # type: ignore[attr-defined]
     error.message = f"{said}; {mend}." if said else f"{mend[0].upper()}{mend[1:]}."  # type: ignore[attr-defined]

@@ -6,8 +6,7 @@ tilted by a random slope, and turned by the specularity; it is blocked if it mee
 far as the receiver is, and else meets the first receiver on its way.
 
 Mirrors that shade and block are flat rectangles, one mesh in the plant's frame; a ray leaves its own by starting
-`CLEAR` before its plane. Float32 keeps 6e-8 of a length: 0.06 mm at 1 km. Facets lie in their mirror's plane, each
-tilted toward the point of the axis at the canting's distance.
+`CLEAR` before its plane. Float32 keeps 6e-8: 0.06 mm at 1 km. Facets lie in their mirror's plane, tilted as they cant.
 """
 
 from __future__ import annotations
@@ -132,6 +131,8 @@ class Traced:
         Of the beam on each mirror [mm²].
     landed, landed_variance : (n,)
         On any receiver, of what `Mirrors.passed` leaves [mm²].
+    received_variance : (receivers,)
+        Of what lands on each, of all mirrors [mm⁴].
     turn : (n,)
         Mean square of the light's distance from the central ray, across it at the receiver's distance [mm²].
     place : (n, 2)
@@ -148,6 +149,7 @@ class Traced:
     blocked: Array
     landed: Array
     landed_variance: Array
+    received_variance: Array
     turn: Array
     place: Array
     maps: tuple[Array, ...]
@@ -186,11 +188,12 @@ def trace(
     scene, shapes = _neighbours(mirrors), [_shape(s) for s in surfaces]
     columns = {name: mi.Float(value.astype(np.float32)) for name, value in _columns(mirrors).items()}
     angles = mi.Float(light.angles.astype(np.float32))
-    per = np.zeros((len(NAMES), n))
+    per, shares = np.zeros((len(NAMES), n)), np.zeros((2, n, len(surfaces)))
     maps: list[Any] = [np.zeros((2, *s.cells)) for s in surfaces]
     rays, reached = 0, np.inf
     while rays < MOST and reached > accuracy:
         sums = [dr.zeros(mi.Float, n * groups) for _ in NAMES]
+        parts = [dr.zeros(mi.Float, n * groups * len(surfaces)) for _ in range(2)]
         bins = [[dr.zeros(mi.Float, s.cells[0] * s.cells[1]) for _ in range(2)] for s in surfaces]
         ray = dr.arange(mi.UInt32, count)
         index = ray // dr.opaque(mi.UInt32, each)
@@ -202,11 +205,13 @@ def trace(
         found = _rays(index // groups, columns, light, angles, generator, scene, shapes)
         for total, name in zip(sums, NAMES, strict=True):
             dr.scatter_add(total, found[name], index)
-        for pair, (cell, active) in zip(bins, found["cells"], strict=True):
-            dr.scatter_add(pair[0], found["landed"], cell, active)
-            dr.scatter_add(pair[1], found["landed"] ** 2, cell, active)
-        dr.eval(sums, bins)
+        for k, (pair, (cell, active)) in enumerate(zip(bins, found["cells"], strict=True)):
+            for power, (total, part) in enumerate(zip(pair, parts, strict=True), 1):
+                dr.scatter_add(total, found["landed"] ** power, cell, active)
+                dr.scatter_add(part, found["landed"] ** power, index * len(surfaces) + k, active)
+        dr.eval(sums, parts, bins)
         per += [np.array(x, float).reshape(n, groups).sum(axis=1) for x in sums]
+        shares += [np.array(x, float).reshape(n, groups, -1).sum(axis=1) for x in parts]
         for total, pair, s in zip(maps, bins, surfaces, strict=True):
             total += np.array([np.array(x, float).reshape(s.cells) for x in pair])
         rays += count
@@ -214,21 +219,22 @@ def trace(
     scale = mirrors.width * mirrors.height / (rays / n)
     got = dict(zip(NAMES, per, strict=True))
     # Weights in the kernel are of the mirrors' mean area, so that single precision is of no concern.
-    unit = float((mirrors.width * mirrors.height).mean()) / (rays / n)
+    unit = float(scale.mean())
     aimed = np.where(got["aimed"] > 0, got["aimed"], np.nan)
     place = np.stack([got["along"] / aimed, got["up"] / aimed], axis=1)
-    # As many rays leave each mirror, so that one all of whose rays land is sure but for their weights.
-    spread = np.maximum(got["squared"] - got["landed"] ** 2 / (rays / n), 0.0)
+    # As many rays leave each mirror: one's are sure but for their weights if all land, but not on which receiver.
+    landed, squared = shares.sum(axis=2)
+    spread, each_spread = (np.maximum(q - x**2 / (rays / n), 0.0) for x, q in ((landed, squared), shares))
     through = np.maximum(got["whole"] - got["shaded"] - got["blocked"], 1e-300)
     return Traced(
-        got["whole"] * scale, got["shaded"] * scale, got["blocked"] * scale, got["landed"] * unit,
-        spread * unit**2, got["turn"] / through, place, tuple(m[0] * unit for m in maps),
-        tuple(m[1] * unit**2 for m in maps), rays, reached,
+        got["whole"] * scale, got["shaded"] * scale, got["blocked"] * scale, landed * unit,
+        spread * unit**2, each_spread.sum(axis=0) * unit**2, got["turn"] / through, place,
+        tuple(m[0] * unit for m in maps), tuple(m[1] * unit**2 for m in maps), rays, reached,
     )  # fmt: skip
 
 
-NAMES = ("whole", "shaded", "blocked", "landed", "squared", "turn", "aimed", "along", "up")
-"""What is summed for each heliostat: weights of rays, of those that land also their squares and where."""
+NAMES = ("whole", "shaded", "blocked", "turn", "aimed", "along", "up")
+"""What is summed for each heliostat: weights of rays, and of those that land on the receiver aimed at also where."""
 
 
 def _reached(maps: list[Array]) -> float:
@@ -282,12 +288,10 @@ def _shape(s: Surface) -> tuple[Surface, Any]:
 def _rays(
     who: Any, columns: dict[str, Any], light: Light, angles: Any, generator: Any, scene: Any, shapes: list[Any]
 ) -> dict[str, Any]:
-    """Rays of the heliostats ``who``: their weights by `NAMES`, and for each receiver the cells that they meet."""
+    """Rays of the heliostats ``who``: their weights by `NAMES` and `landed`, and the cells they meet."""
     h = {name: dr.gather(mi.Float, column, who) for name, column in columns.items()}
     frame = [mi.Vector3f(*(h[f"f{i}{j}"] for j in range(3))) for i in range(3)]
-
-    def uniform() -> Any:
-        return generator.next_float32()
+    uniform = generator.next_float32
 
     def scattered(v: Any, sigma: Any) -> Any:
         g = mi.warp.square_to_std_normal(mi.Point2f(uniform(), uniform())) * sigma
@@ -318,8 +322,7 @@ def _rays(
     edge = dr.normalize(mi.Vector3f(1.0, 0.0, 0.0) - axis.x * axis)
     other = dr.cross(axis, edge)
     nx, ny = -h["bend"] * x, -h["bend"] * y
-    flat = nx * nx + ny * ny
-    steep = dr.sqrt(dr.maximum(1.0 - flat, 0.0))
+    steep = dr.sqrt(dr.maximum(1.0 - (nx * nx + ny * ny), 0.0))
     sag = (x * x + y * y) * h["bend"] / (1.0 + steep)
     normal = edge * nx + other * ny + axis * steep
     point = mi.Vector3f(cx, cy, 0.0) + edge * x + other * y + axis * sag
@@ -361,8 +364,7 @@ def _rays(
             mean = (stands + dr.atan2(dr.sin(turned), dr.cos(turned))) * radius
         else:
             met = free & hit.is_valid() & (local[1].z < 0)
-            u, v, extent = q.x, q.y, 2 * radius
-            mean = u
+            u, v, extent, mean = q.x, q.y, 2 * radius, q.x
         first = met & (hit.t < nearest)
         nearest = dr.select(first, hit.t, nearest)
         along, up, which = (dr.select(first, *x) for x in ((mean, along), (v, up), (float(number), which)))
@@ -371,8 +373,7 @@ def _rays(
             mi.UInt32(dr.clip((w / length + 0.5) * k, 0, k - 1))
             for w, length, k in ((u, extent, many[0]), (v, variable(s.height), many[1]))
         )
-        cells = [(cell, active & ~first) for cell, active in cells]
-        cells.append((i * mi.UInt32(many[1]) + j, first))
+        cells = [*((cell, active & ~first) for cell, active in cells), (i * mi.UInt32(many[1]) + j, first)]
     landed = dr.select(nearest < dr.inf, weight * h["passed"], 0.0)
     aimed = dr.select(which == h["aims"], landed, 0.0)
     return {
@@ -380,7 +381,6 @@ def _rays(
         "shaded": dr.select(shaded, weight, 0.0),
         "blocked": dr.select(blocked & ~shaded, weight, 0.0),
         "landed": landed,
-        "squared": landed**2,
         "turn": dr.select(free, weight * dr.squared_norm(aside), 0.0),
         "aimed": aimed,
         "along": aimed * along,
@@ -392,11 +392,9 @@ def _rays(
 def _of_the_sun(light: Light, angles: Any, uniform: Any) -> Any:
     """A random point of the sun, as tangents from its centre."""
     if len(light.angles) == 1:
-        g = mi.warp.square_to_std_normal(mi.Point2f(uniform(), uniform()))
-        return g * dr.opaque(mi.Float, float(light.angles[0]))
+        return mi.warp.square_to_std_normal(mi.Point2f(uniform(), uniform())) * dr.opaque(mi.Float, light.angles[0])
     place = uniform() * dr.opaque(mi.Float, len(light.angles) - 1)
     k = dr.minimum(mi.UInt32(place), mi.UInt32(len(light.angles) - 2))
     low, high = (dr.gather(mi.Float, angles, k + d) for d in (0, 1))
     radius = dr.tan(low + (high - low) * (place - mi.Float(k)))
-    sine, cosine = dr.sincos(2 * dr.pi * uniform())
-    return mi.Vector2f(radius * cosine, radius * sine)
+    return radius * mi.Vector2f(*reversed(dr.sincos(2 * dr.pi * uniform())))

@@ -60,7 +60,7 @@ def read_record(path: Path, count: int) -> tuple[float, Array, NDArray[np.int_]]
         return _wav(path, body, count)
     try:
         if detector_hdf5.is_hdf5(body):
-            return _columns(*detector_hdf5.columns(body, RECORD_BYTES // 8), count)
+            return _columns(*detector_hdf5.columns(body, RECORD_BYTES // 8, count), count)
         return _columns(_csv(body), None, count)
     except ValueError as error:
         raise BenchsimError(f"{path}: {error}") from None
@@ -122,7 +122,7 @@ def _columns(columns: dict[str, Array], rate: float | None, count: int) -> tuple
         if not even:
             raise ValueError("time_s: does not grow by equal steps; resample the record")
         rate = 1 / step
-    if rate is None or not 0 < rate < 1e6:
+    if rate is None or not 0 < rate < detector_hdf5.FASTEST:
         raise ValueError("states no sampling rate; add time_s, or an attribute rate_hz in Hz")
     # Crossings are found along the arrays, whatever the order of the columns.
     order = sorted(columns, key=known.__getitem__)

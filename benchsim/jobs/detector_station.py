@@ -27,8 +27,8 @@ BEFORE = 0.05
 """Least cosine between where the arrays look and the way to a heliostat that they can see: 87°."""
 
 UNSEEN = {
-    "other": "aims at another receiver than the arrays' one",
-    "behind": "stands behind the plane of the arrays",
+    "other": "aimed at another receiver than the arrays'",
+    "behind": "behind the plane of the arrays",
 }
 
 

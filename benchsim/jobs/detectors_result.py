@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -34,6 +35,9 @@ LIMIT = 1e-4
 """Of sigma of either angle, up to which a heliostat counts as seen [rad]: a tenth of a usual slope error."""
 
 
+LACKS = ("hidden by another mirror", "with a trace beside the arrays", "too faint")
+
+
 @dataclass(frozen=True, repr=False)
 class DetectorsResult(Shown):
     """What arrays of detectors see of a plant.
@@ -50,6 +54,8 @@ class DetectorsResult(Shown):
         Both traces cross an array, with light above the noise; another mirror stands before the heliostat.
     before : float or None
         Share seen by the arrays as stated, where they were placed anew.
+    dark : tuple of str
+        Days of a year that are left out, as the sun stands too low.
     record : Simulated or None
     folder : Path or None
     """
@@ -61,6 +67,7 @@ class DetectorsResult(Shown):
     crossed: NDArray[np.bool_]
     hidden: NDArray[np.bool_]
     before: float | None = None
+    dark: tuple[str, ...] = ()
     record: Simulated | None = None
     folder: Path | None = None
 
@@ -115,17 +122,26 @@ class DetectorsResult(Shown):
         return out
 
     def _says(self, i: int) -> str:
-        seen, crossed, hidden = self.seen[:, i], self.crossed[:, i], self.hidden[:, i]
+        seen, lacks = self.seen[:, i], self.lacks[:, i]
+        if len(seen) == 1:
+            return "seen" if seen[0] else f"not seen: {LACKS[int(lacks.argmax())]}"
         if seen.all():
-            return f"seen at all {counted(len(seen), 'time')}"
-        lacks = []
-        if hidden.any():
-            lacks.append(f"hidden by another mirror at {hidden.sum()} of {counted(len(hidden), 'time')}")
-        if (beside := ~crossed & ~hidden).any():
-            lacks.append(f"a trace misses the arrays at {beside.sum()}")
-        if (faint := crossed & ~seen).any():
-            lacks.append(f"too faint at {faint.sum()}")
-        return ("seen at times; " if seen.any() else "never seen; ") + ", ".join(lacks)
+            return f"seen at all {len(seen)} times"
+        many = ", ".join(f"{what} at {n}" for what, n in zip(LACKS, lacks, strict=True) if n)
+        return f"{'seen at times' if seen.any() else 'never seen'}; of {len(seen)} times {many}"
+
+    @property
+    def lacks(self) -> NDArray[np.int_]:
+        """(3, k): at how many times each of `LACKS` is why a heliostat is not seen."""
+        lit = self.crossed & ~self.hidden
+        return np.array([self.hidden.sum(axis=0), (~lit & ~self.hidden).sum(axis=0), (lit & ~self.seen).sum(axis=0)])
+
+    def never(self) -> str:
+        """How many heliostats are never seen, and why: each by what is in the way most often."""
+        why = Counter(UNSEEN[w] for w in unseen(self.plant, self.watch.station) if w)
+        why.update(LACKS[int(k)] for k in self.lacks.argmax(axis=0)[~self.seen.any(axis=0)])
+        reasons = ", ".join(f"{n} {what}" for what, n in why.most_common())
+        return f"{why.total()} ({reasons})" if why else "0"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``detectors.json``."""
@@ -154,6 +170,7 @@ class DetectorsResult(Shown):
                 for t, seen, hidden, sigma in zip(self.times, self.seen, self.hidden, self.sigma, strict=True)
             ],
             "heliostats": self.rows(),
+            "days_left_out": list(self.dark),
             "remarks": [*self.plant.remarks, *s.remarks],
         }
         if self.record is not None:
@@ -170,14 +187,15 @@ class DetectorsResult(Shown):
             f"  both angles to {1e3 * LIMIT:g} mrad: {100 * self.share:.1f} % of heliostats and times"
             + (f" (as stated {100 * self.before:.1f} %)" if self.before is not None else ""),
         ]
+        if self.dark:
+            lines.append(f"  left out, as the sun never stands high enough for a plant: {', '.join(self.dark)}")
         if self.seen.any():
             sigma = 1e3 * self.sigma[self.seen]
             low, middle, high = np.percentile(sigma, [5, 50, 95])
             lines.append(f"  sigma then: {middle:.2g} mrad, of nine in ten between {low:.2g} and {high:.2g}")
-        never = int((~self.seen.any(axis=0)).sum()) + len(f) - len(self.watch.who)
         hidden, beside = self.hidden.mean(), (~self.crossed & ~self.hidden).mean()
         lines.append(
-            f"  never seen: {never}; of the others' times {100 * hidden:.1f} % hidden by another mirror, "
+            f"  never seen: {self.never()}; of all times {100 * hidden:.1f} % hidden by another mirror, "
             f"{100 * beside:.1f} % with a trace beside the arrays"
         )
         rounds = "" if labels.rounds == 1 else f", in {labels.rounds} rounds, while the other prisms rest"

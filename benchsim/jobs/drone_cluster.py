@@ -89,18 +89,18 @@ class Cluster:
     @property
     def tracking(self) -> float:
         """1 sigma by which they may look beside [rad]: rms of those stated of IA and IE, or `TRACKING` if none is."""
-        return self._stated("IA", "IE") or TRACKING
+        return self._stated("IA", "IE", default=TRACKING)
 
     @property
     def tilt(self) -> float:
         """1 sigma of the pylons [rad]: the drone's, or rms of those stated of AN and AW, or `TILT` if none is."""
         own = self.plant.drone.tilt
-        return (self._stated("AN", "AW") or TILT) if own is None else own
+        return self._stated("AN", "AW", default=TILT) if own is None else own
 
-    def _stated(self, *names: str) -> float:
+    def _stated(self, *names: str, default: float) -> float:
         s = self.plant.field.sigmas
         there = [s[k] for k in names if k in s]
-        return float(np.sqrt(np.mean(np.square(there)))) if there else 0.0
+        return float(np.sqrt(np.mean(np.square(there)))) if there else default
 
     @property
     def lamps(self) -> Array:

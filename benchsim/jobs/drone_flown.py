@@ -60,12 +60,12 @@ class Flown:
             "flown_sigma_ad_{}_mrad": 1e3 * width,
             "flown_sigma_mean_{}_mrad": 1e3 * mean,
             "p_normal_{}": normal,
+            "flown_sigma_{}_mrad": 1e3 * self.sigma,
         }
         return {
             "flown_glints": self.glints,
             "flown_outliers": 0 if p is None else int((~p.kept).sum()),
             **{n.format(a): None if p is None else float(x[i]) for n, x in pairs.items() for i, a in enumerate("xy")},
-            "flown_sigma_mrad": None if p is None else 1e3 * float(self.sigma.max()),
             "says": self.says,
         }
 

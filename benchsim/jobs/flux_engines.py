@@ -233,8 +233,7 @@ def parted(plant: Plant, sun: Array, sky: float, errors: Errors, product: Moment
         for m in (carlo, *(m for _, m in chain)):
             assert m.noise is not None
             spread = m.noise.flux[k]
-            # Cells share the light that there is, so that their errors are not those of its sum; heliostats' are.
-            powers.append((float(m.received[k]), float(np.linalg.norm(m.noise.power[f.receiver == k]))))
+            powers.append((float(m.received[k]), float(m.noise.received[k])))
             peaks.append((float(m.flux[k][top].mean()), float(np.sqrt((spread[top] ** 2).sum())) / top.sum()))
         powers.append((float(product.received[k]), 0.0))
         peaks.append((float(flat[top].mean()), 0.0))
@@ -258,7 +257,10 @@ def parted(plant: Plant, sun: Array, sky: float, errors: Errors, product: Moment
 
 
 def _change(to: tuple[float, float], of: tuple[float, float]) -> tuple[float, float]:
-    """By which part a value differs from another, and its standard error; each with its own, drawn independently."""
+    """By which part a value differs from another, and its standard error by both of theirs.
+
+    Rays of one seed go together if at all, so that it is too large rather than too small.
+    """
     ratio = to[0] / of[0]
     return ratio - 1, float(np.hypot(to[1] / of[0], ratio * of[1] / of[0]))
 

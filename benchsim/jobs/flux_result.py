@@ -39,6 +39,8 @@ LEVELS = (0.25, 0.5, 0.75)
 COARSE = 1e-3
 """Change by the grid's edge correction above which a remark is due."""
 
+SURE = "standard error of a receiver's power or brightest cell, the larger"
+
 TOLD = 5
 """Heliostats of a summary; the files have all."""
 
@@ -72,6 +74,8 @@ class FluxResult(Shown):
     folder : Path or None
     clear : bool
         Whether the sky is a clear one, and not of a stated irradiance.
+    dark : tuple of str
+        Days of a year without sun.
     """
 
     plant: Plant
@@ -88,6 +92,7 @@ class FluxResult(Shown):
     rank: Cost | None = None
     folder: Path | None = None
     clear: bool = True
+    dark: tuple[str, ...] = ()
 
     def total(self, name: str) -> Array:
         """Of every heliostat: the sum of ``power`` or ``reflected`` through day or year [kWh], or its value [kW]."""
@@ -169,6 +174,7 @@ class FluxResult(Shown):
             "heliostats": len(f),
             "step_h": self.step,
             "each_stands_for_h": self.stands,
+            "days_without_sun": list(self.dark),
             "times": [
                 {
                     "time": t.isoformat(),
@@ -209,6 +215,7 @@ class FluxResult(Shown):
             out["partings"] = [
                 {
                     "receiver": p.receiver,
+                    "time": self.times[self.brightest].isoformat(),
                     **{
                         f"{what}_{u}": dict(zip(("product", "monte_carlo", "sigma"), values, strict=True))
                         for what, u, values in (("power", "kw", p.power), ("peak", "kw_m2", p.peak))
@@ -246,7 +253,7 @@ class FluxResult(Shown):
         plain = self.as_dict()
         of = {
             "none": "without errors of the mounts",
-            "stated": "errors of the mounts as stated",
+            "stated": self._stated(),
             "drawn": f"errors of the mounts drawn with seed {self.seed}",
             "diagnosed": "errors of the mounts as diagnosed",
         }[self.errors]
@@ -258,11 +265,15 @@ class FluxResult(Shown):
             )
         else:
             days = list(dict.fromkeys(f"{t:%Y-%m-%d}" for t in self.times))
-            what = "the year by " if len(days) > 1 else ""
+            what = "the year by " if len(days) + len(self.dark) > 1 else ""
             sky = " under a clear sky" if self.clear else ""
             when = f"{what}{', '.join(days)}, {counted(len(self.times), 'time')} {self.step:g} h apart{sky}"
         unit = self.unit
         lines = [f"{self.plant.name}: {counted(len(self.plant.field), 'heliostat')}, {when}; {of}"]
+        if self.dark:
+            lines.append(
+                f"  the sun does not rise on {', '.join(self.dark)}: nothing is added for that part of the year"
+            )
         for r in plain["receivers"]:
             on, peak = r[f"on_it_{unit.lower()}"], r[f"peak_{unit.lower()}_m2"]
             lines.append(f"  {r['name']}: {said(on, unit)}, peak {said(peak, unit)}/m²")
@@ -275,14 +286,23 @@ class FluxResult(Shown):
             )
         return "\n".join([*lines, *self.plant.remarks])
 
+    def _stated(self) -> str:
+        f = self.plant.field
+        if any(map(np.any, f.errors.values())):
+            return "errors of the mounts as stated"
+        only = "of which only sigmas are stated" if any(map(np.any, f.sigmas.values())) else "as none are stated"
+        return f"without errors of the mounts, {only}"
+
     def _more(self, plain: dict[str, Any]) -> list[str]:
         """Sentences on Monte Carlo, limits and what errors cost."""
         lines = []
         if "monte_carlo" in plain:
             m = plain["monte_carlo"]
-            error = "no receiver is lit" if m["accuracy"] is None else f"{100 * m['accuracy']:.2g} %"
-            if len(self.times) > 1 and m["accuracy"] is not None:
-                error += f" of all times together, {100 * m['accuracy_at_worst_time']:.2g} % at the worst"
+            error = "no receiver is lit"
+            if m["accuracy"] is not None:
+                error = f"{SURE}: {100 * m['accuracy']:.2g} %"
+                if len(self.times) > 1:
+                    error += f" of all times together, {100 * m['accuracy_at_worst_time']:.2g} % at the worst"
             lines.append(f"  Monte Carlo: {m['rays'] / 1e6:.3g} million rays, {error}")
         if self.partings:
             when = f"{self.times[self.brightest]:%Y-%m-%d %H:%M}, " if self.step is not None else ""
@@ -301,27 +321,39 @@ class FluxResult(Shown):
             only = "only their sigma is stated" if self.rank.sigma.any() else "none are stated"
             lines.append(f"  errors of the mounts cost nothing: {only}; --errors drawn shows what such errors would")
         elif self.rank is not None:
-            r = self.rank
-            worth = r.recalibrated > 0
-            put = (
-                f" and put {said(r.over.sum(), 'kWh', 3)} above a limit"
-                if any(x.peak_limit for x in self.plant.receivers)
-                else ""
-            )
-            back = said(r.recalibrated[worth].sum(), "kWh")
-            lines.append(
-                f"  errors of the mounts cost {said(r.lost.sum(), 'kWh')} in that time{put}; to calibrate the "
-                f"{worth.sum()} of {len(worth)} that gain by it brings back {back}, to shift all aims by constants "
-                f"{said(r.reaimed.sum(), 'kWh')}"
-            )
-            lines.append("  first to be calibrated: cost, brought back by that, and by a shift (along, up):")
-            for x in plain["rank"][:TOLD]:
-                cost, (a, b) = short(x["lost_kwh"] + x["over_limit_kwh"], 3), x["shift_m"]
-                lines.append(
-                    f"    {x['id']:<12} {cost:>9} ± {short(x['sigma_kwh'], 2)} kWh, {short(x['recalibrated_kwh'], 3)}, "
-                    f"{short(x['reaimed_kwh'], 3)} ({a:+.2f} m, {b:+.2f} m)"
-                )
+            lines += self._ranked(self.rank, plain["rank"][:TOLD])
         return lines
+
+    def _ranked(self, r: Cost, first: list[dict[str, Any]]) -> list[str]:
+        """Sentences on what errors cost, on whom it pays to mend, and on the costliest."""
+
+        def brings(kwh: float) -> str:
+            return f"{'brings back' if kwh >= 0 else 'loses another'} {said(abs(kwh), 'kWh')}"
+
+        worth, lost = r.recalibrated > 0, float(r.lost.sum())
+        put = (
+            f" and put {said(r.over.sum(), 'kWh', 3)} above a limit"
+            if any(x.peak_limit for x in self.plant.receivers)
+            else ""
+        )
+        pays = (
+            f"to calibrate the {worth.sum()} of {len(worth)} that gain by it {brings(r.recalibrated[worth].sum())}"
+            if worth.any()
+            else "to calibrate pays for none, as their sigmas leave as much to lose"
+        )
+        below = any(min(x["recalibrated_kwh"], x["reaimed_kwh"]) < 0 for x in first)
+        return [
+            f"  errors of the mounts {'cost' if lost >= 0 else 'bring'} {said(abs(lost), 'kWh')} in that time{put}; "
+            f"{pays}, to shift all aims by constants {brings(r.reaimed.sum())}",
+            "  costliest: cost, brought back by calibrating, and by a shift (along, up)"
+            f"{'; below 0 more is lost' if below else ''}:",
+            *(
+                f"    {x['id']:<12} {short(x['lost_kwh'] + x['over_limit_kwh'], 3):>9} ± {short(x['sigma_kwh'], 2)} "
+                f"kWh, {short(x['recalibrated_kwh'], 3)}, {short(x['reaimed_kwh'], 3)} "
+                f"({x['shift_m'][0]:+.2f} m, {x['shift_m'][1]:+.2f} m)"
+                for x in first
+            ),
+        ]
 
     @property
     def brightest(self) -> int:

@@ -30,12 +30,15 @@ class Times:
         Irradiance on a plane that faces it [W/m²].
     stands : float
         For which each stands in sums [h]; of a single time 1.
+    dark : tuple of str
+        Days on which the sun is up at none of the times.
     """
 
     times: tuple[datetime, ...]
     suns: Array
     sky: Array
     stands: float
+    dark: tuple[str, ...] = ()
 
 
 def chosen(
@@ -63,9 +66,8 @@ def chosen(
     suns = days.suns(times, site)
     up = [k for k in range(len(times)) if suns[k, 2] > 0]
     if not up:
-        low = float(np.degrees(np.arcsin(suns[:, 2].max())))
-        raise BenchsimError(
-            f"--{'at' if at else 'day' if day else 'year'}: the sun is {-low:.1f} deg below the horizon; name another"
-        )
+        option = "at" if at else "day" if day else "year"
+        raise BenchsimError(f"--{option}: the sun is {days.highest(suns)}; name another")
     sky = np.full(len(times), irradiance) if irradiance is not None else clear_sky(suns, site.elevation)
-    return Times(tuple(times[k] for k in up), suns[up], np.asarray(sky)[up], stands)
+    lit = tuple(times[k] for k in up)
+    return Times(lit, suns[up], np.asarray(sky)[up], stands, days.without(times, lit))

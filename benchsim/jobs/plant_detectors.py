@@ -100,7 +100,7 @@ def detectors(
     when = days.at(record, p.site, "--record") if record is not None else None
     dates = [day] if day is not None else [f"{year or YEAR:04d}-{d}" for d in days.QUARTERS]
     times = [days.at(at, p.site)] if at is not None else [t for d in dates for t in days.of_day(d, step, p.site)]
-    times = _lit(times, p, LOWEST if at is None else 0.0)
+    asked, times = times, _lit(times, p, LOWEST if at is None else 0.0)
     w = watch(p)
     options = {"at": at, "day": day, "year": year, "step": step, "place": place, "record": record}
     options |= {"errors": errors, "seed": seed}
@@ -111,11 +111,12 @@ def detectors(
             return lambda done: progress(what, 0.98 * (first + done) / weight)
 
         result = _looked(p, w, times, through("light on the arrays", 0.0))
+        result = replace(result, dark=days.without(asked, times))
         if place:
             moved = _placed(p, w, times, through("places", 1.0))
             again = _looked(p, watch(p, moved), times, through("light on the arrays", 2.0))
             if again.share > result.share:
-                result = replace(again, before=result.share)
+                result = replace(again, before=result.share, dark=result.dark)
             else:
                 result = replace(result, before=result.share)
         if when is not None:
@@ -130,11 +131,11 @@ def detectors(
 
 def _lit(times: Sequence[datetime], plant: Plant, lowest: float) -> list[datetime]:
     """Times at which the sun stands high enough."""
-    high = np.arcsin(days.suns(times, plant.site)[:, 2])
+    suns = days.suns(times, plant.site)
+    high = np.arcsin(suns[:, 2])
     if not (high > lowest).any():
-        raise BenchsimError(
-            f"--at, --day: the sun stands {np.degrees(high.max()):.1f} deg above the horizon at most; name another time"
-        )
+        wanted = f", a day's arrays need {np.degrees(lowest):.0f} deg" if lowest > 0 else ""
+        raise BenchsimError(f"--at, --day: the sun is {days.highest(suns)}{wanted}; name another time")
     return [t for t, h in zip(times, high, strict=True) if h > lowest]
 
 

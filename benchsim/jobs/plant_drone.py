@@ -158,7 +158,10 @@ class DroneResult(Shown):
         ]
         few = sum(r["glints"] < 2 * FEWEST for r in rows)
         if few:
-            lines.append(f"  fewer than {2 * FEWEST} glints of {counted(few, 'heliostat')}; make drone.pitch_m smaller")
+            show = "shows" if few == 1 else "show"
+            lines.append(
+                f"  {counted(few, 'heliostat')} {show} fewer than {2 * FEWEST} glints; make drone.pitch_m smaller"
+            )
         if hidden := sum(self.hidden.values()):
             lines.append(f"  hidden behind other mirrors: {counted(hidden, 'heliostat')}; look from higher up")
         if min(heights) < CLIMB + float(f.position[:, 2].max()) / 1e3:

@@ -157,6 +157,7 @@ def flux(
         result = FluxResult(
             p, times.times, found or traced, None if at is not None else step, times.stands, kind, seed, tuple(levels),
             engine, traced if found else (), (), cost, None if output is None else Path(output), irradiance is None,
+            times.dark,
         )  # fmt: skip
         if engine == "both":
             k = result.brightest

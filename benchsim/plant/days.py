@@ -45,6 +45,19 @@ def of_day(text: str, step: float, site: Site) -> list[datetime]:
     return [(start + timedelta(hours=24 * (k + 0.5) / count)).astimezone(site.zone) for k in range(count)]
 
 
+def without(asked: Sequence[datetime], left: Sequence[datetime]) -> tuple[str, ...]:
+    """Days of which no time is left, as 2026-12-21."""
+    days = {f"{t:%Y-%m-%d}" for t in left}
+    return tuple(dict.fromkeys(d for t in asked if (d := f"{t:%Y-%m-%d}") not in days))
+
+
+def highest(suns: Array) -> str:
+    """How high the sun stands at most."""
+    high = float(np.degrees(np.arcsin(suns[:, 2].max())))
+    side = "above" if high > 0 else "below"
+    return f"{abs(high):.1f} deg {side} the horizon{' at its highest' if len(suns) > 1 else ''}"
+
+
 def suns(times: Sequence[datetime], site: Site) -> Array:
     """Unit vectors toward the apparent sun, (T, 3)."""
     azimuth, elevation = np.radians(solar.almanac(np.array([t.timestamp() for t in times]), site.place)).T

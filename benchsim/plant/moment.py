@@ -28,7 +28,9 @@ class Noise:
     Attributes
     ----------
     power : (n,)
-        Of each heliostat's power [W].
+        Of each heliostat's power, on whichever receiver [W].
+    received : (receivers,)
+        Of the power on each [W].
     flux : tuple of (along, up) arrays
         Of each receiver's cells [W/m²].
     rays : int
@@ -37,6 +39,7 @@ class Noise:
     """
 
     power: Array
+    received: Array
     flux: tuple[Array, ...]
     rays: int
     accuracy: float

@@ -69,7 +69,10 @@ def moment_traced(
         s, irradiance, got.whole / f.area, got.shaded / whole, got.blocked / whole, through, got.landed / left,
         watts * got.landed, watts * reflectance * got.whole, np.sqrt(got.turn), got.place, tuple(maps), grids, 0.0,
         np.array([watts * m.sum() for m in got.maps]),
-        Noise(watts * np.sqrt(got.landed_variance), tuple(noise), got.rays, got.accuracy),
+        Noise(
+            watts * np.sqrt(got.landed_variance), watts * np.sqrt(got.received_variance), tuple(noise), got.rays,
+            got.accuracy,
+        ),
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -78,15 +79,16 @@ def shown(
 def _engines(partings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     tables = []
     for p in partings:
-        power = p["power_kw"]
-        caption = (
-            f"{p['receiver']}: product {power['product']:.4g} kW, Monte Carlo {power['monte_carlo']:.4g} ± "
-            f"{power['sigma']:.2g} kW"
+        on, peak = (
+            f"product {x['product']:.4g} {unit}, Monte Carlo {x['monte_carlo']:.4g} ± {x['sigma']:.2g} {unit}"
+            for x, unit in ((p["power_kw"], "kW"), (p["peak_kw_m2"], "kW/m²"))
         )
+        apart = 1e3 * math.hypot(*p["centroid_apart_m"])
+        caption = f"{p['receiver']}: power by {on}; at the peak by {peak}; centroids {apart:.0f} mm apart"
         rows = [{k: v if k == "says" else 100 * v for k, v in c.items()} for c in p["causes"]]
         tables.append(page_plant.table(CAUSES, rows, caption=caption))
     says = (
-        "The product of error functions simplifies; Monte Carlo was made once more with each of its simplifications, "
-        "one after the other."
+        f"The product of error functions simplifies; at {partings[0]['time'][:16].replace('T', ' ')} Monte Carlo was "
+        "made once more with each of its simplifications, one after the other."
     )
     return page_plant.section("engines", "Where the engines part", *tables, says=says)

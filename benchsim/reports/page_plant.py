@@ -52,7 +52,7 @@ def shown(
     first, *rest = summary.splitlines()
     # What is indented twice, and what leads to it, has a table of its own.
     deep = [line.startswith("    ") for line in rest] + [False]
-    plain = [line.strip() for k, line in enumerate(rest) if not deep[k] and not deep[k + 1]]
+    plain = [line.strip() for k, line in enumerate(rest) if not (deep[k] or deep[k + 1] or line.endswith(":"))]
     return {
         "name": name,
         "what": what,

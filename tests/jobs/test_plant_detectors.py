@@ -77,6 +77,24 @@ def test_a_plan_says_who_is_seen_and_what_a_record_gives(planned):
     assert sum(a["along"] == "vertical" for a in plain["arrays"]) == 1 and (out / "plan.png").stat().st_size > 10_000
 
 
+def test_who_is_never_seen_is_told_why(plant, tmp_path):
+    """One that aims at a receiver that looks south, and one close behind another; of the six before all are seen."""
+    (tmp_path / "heliostats.csv").write_text((plant / "heliostats.csv").read_text())
+    south = '[[receiver]]\nname = "south"\ncentre_m = [0, 0, 40]\nwidth_m = 2\nheight_m = 2\nazimuth_deg = 180\n'
+    file = tmp_path / "plant.toml"
+    file.write_text((plant / "plant.toml").read_text().replace("[optics]", f"{south}[optics]"))
+    with (tmp_path / "heliostats.csv").open("a") as table:
+        table.write("\nS,0,-60,2.5\nH8,0,72.5,2.5")
+    result = bs.detectors(tmp_path, at=NOON)
+    says = {r["id"]: r["says"] for r in result.rows()}
+    assert says["S"] == "aimed at another receiver than the arrays'" and says["H3"] == "seen"
+    assert says["H8"] == "not seen: hidden by another mirror"
+    never = next(x for x in result.text().splitlines() if "never seen" in x)
+    assert "never seen: 2 (" in never and "1 aimed at another receiver" in never
+    file.write_text(file.read_text().replace("latitude_deg = 37.0", "latitude_deg = 62.0"))
+    assert "never stands high enough for a plant: 2026-12-21" in bs.detectors(tmp_path, step=6.0).text()
+
+
 def test_errors_are_as_large_as_their_sigma_says(planned):
     """12 angles: the chance of an rms beyond these bounds is 1e-4, were they independent and normal."""
     rows = json.loads((planned[0] / "detectors.json").read_text())["record"]["heliostats"]
@@ -158,6 +176,16 @@ def put_chunk(file, elsewhere):
     file.create_dataset("samples", (300, 3), "u1", maxshape=(None, 3), chunks=(2**25, 3), compression="gzip")
 
 
+def put(rate=None, **datasets):
+    def into(file, elsewhere):
+        for name, values in datasets.items():
+            file[name] = values
+        if rate is not None:
+            file.attrs["rate_hz"] = rate
+
+    return into
+
+
 def put_nothing(file, elsewhere):
     file["detector_1"] = np.arange(300.0)
 
@@ -171,10 +199,20 @@ def put_nothing(file, elsewhere):
         (put_bomb, "cut the record"),
         (put_chunk, "cut the record"),
         (put_nothing, "states no sampling rate"),
+        (put(samples=np.ones((300, 3)), rate=0.0), "rate_hz: is 0; give samples a second"),
+        (put(samples=np.ones((300, 3)), rate=np.nan), "rate_hz: is nan; give samples a second"),
+        (put(**{"detector_1/x": np.ones(300)}), "'detector_1' is a group; put a dataset"),
+        (put(detector_1=["1.5"] * 300), "'detector_1' holds no numbers; save it as"),
+        (put(samples="none"), "'samples' holds no numbers; save it as"),
+        (put(time_s=np.ones((300, 2))), "'time_s' has 2 dimensions; give"),
+        (put(samples=np.ones(300), rate=500.0), "'samples' has 1 dimension; give samples by detectors"),
+        (put(samples=np.ones((3, 300)), rate=500.0), "'samples' has 3 rows and 300 columns"),
+        (put(samples=np.ones((300, 3)), detector_1=np.ones(300), rate=500.0), "leave one of both out"),
     ],
 )
-def test_an_hdf5_reaches_no_other_file(plant, tmp_path, put, says):
-    """Links, raw storage and views of others' files, whose numbers a page would show; and what fills the memory."""
+def test_an_hdf5_that_is_no_record_is_refused_in_a_sentence(plant, tmp_path, put, says):
+    """Links, raw storage and views of others' files, whose numbers a page would show; what fills the memory; and what
+    is not laid out as a record, of which the sentence names the key and what mends it."""
     with h5py.File(tmp_path / "secret.h5", "w") as file:
         file["detector_1"] = np.arange(300.0)
     with h5py.File(tmp_path / "r.h5", "w") as file:
@@ -204,7 +242,8 @@ def test_a_record_that_cannot_be_used_is_told_in_a_sentence(plant, tmp_path, hea
     ("words", "says"),
     [
         (["--at", NOON, "--record", "2026-03-21T01:00"], "--record: the sun is below the horizon"),
-        (["--at", "2026-03-21T01:00"], "the sun stands"),
+        (["--at", "2026-03-21T01:00"], "deg below the horizon; name another time"),
+        (["--day", "2026-03-21", "--step", "6", "--record", "2026-03-21T01:00"], "--record: the sun is below"),
         (["--day", "2026-03-21", "--record", "soon"], "--record: 'soon' is no time"),
     ],
 )

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 import benchsim as bs
 from benchsim.bench.errors import BenchsimError
 from benchsim.cli import app
+from benchsim.drones.estimate import FEWEST
 from benchsim.drones.flight import fly, seen, stand
 from benchsim.jobs import drone_photos
 from benchsim.jobs.drone_cluster import ENU, clusters
@@ -113,6 +114,28 @@ def test_a_flight_is_planned_and_flown(plant, tmp_path):
     assert len(points) == plain["pictures"]
     line = ET.parse(tmp_path / "o" / "flight.kml").find(".//{*}coordinates").text.split()
     assert len(line) == len(points) and line[0].startswith(points[0]["longitude_deg"].lstrip("'"))
+
+
+def test_both_axes_carry_their_own_sigma_and_few_glints_are_told(plant):
+    result = bs.drone(plant, virtual=True, seed=2)
+    f = result.flown[0]
+    row = f.row()
+    assert [row[f"flown_sigma_{a}_mrad"] for a in "xy"] == pytest.approx((1e3 * f.sigma).tolist())
+    assert row["error_x_mrad"] / row["flown_sigma_x_mrad"] == pytest.approx(f.pull[0]) and f.sigma[0] != f.sigma[1]
+    few = sum(r["glints"] < 2 * FEWEST for r in result.rows())
+    who = "1 heliostat shows" if few == 1 else f"{few} heliostats show"
+    assert few and f"  {who} fewer than {2 * FEWEST} glints; make drone.pitch_m smaller" in result.text()
+
+
+def test_a_sigma_of_zero_is_kept_where_it_is_stated(plant):
+    file = plant / "plant.toml"
+    text = file.read_text()
+    assert clusters(files.read(plant))[0].tracking > 0 and clusters(files.read(plant))[0].tilt == 2e-3
+    file.write_text(
+        text.replace("_sigma_mrad = 1.0", "_sigma_mrad = 0").replace("[drone]", "AN_sigma_mrad = 0\n[drone]")
+    )
+    c = clusters(files.read(plant))[0]
+    assert c.tracking == c.tilt == 0.0
 
 
 def test_waypoints_are_where_the_camera_point_is(plant):

@@ -10,10 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 import benchsim as bs
+from benchsim.bench.errors import BenchsimError
 from benchsim.cli import app
 from benchsim.fluxes.day import Errors, clear_sky, deviated_normals, flux_at
 from benchsim.fluxes.heliostat import Heliostat, Target
 from benchsim.jobs import plant_flux
+from benchsim.plant import files
 from benchsim.plant.moment import Noise
 
 PLANTS = Path(__file__).resolve().parents[2] / "scenes" / "plants"
@@ -107,14 +109,48 @@ def test_a_year_is_a_quarter_of_each_of_four_days():
     assert "the year by 2026-03-21, 2026-06-21" in year.summary()
 
 
+def test_days_on_which_the_sun_does_not_rise_are_said_and_heights_have_one_sign():
+    five = files.read(PLANTS / "five")
+    polar = replace(five, site=replace(five.site, latitude=np.radians(72.0)))
+    year = bs.flux(polar, year=2026, step=6.0, cells=10)
+    assert "the sun does not rise on 2026-12-21: nothing is added" in year.text()
+    assert year.as_dict()["days_without_sun"] == ["2026-12-21"]
+    assert not bs.flux(PLANTS / "five", year=2026, step=6.0, cells=10).dark
+    with pytest.raises(BenchsimError, match=r"^--day: the sun is \d+\.\d deg below the horizon at its highest"):
+        bs.flux(polar, day="2026-12-21")
+
+
 def test_what_errors_cost_is_ranked_with_its_sigma():
     """A heliostat with a large error comes first and loses what it does not catch any more."""
     result = bs.flux(PLANTS / "five", day="2026-03-21", errors="drawn", seed=2, rank=True, step=4.0, cells=40)
     none = bs.flux(PLANTS / "five", day="2026-03-21", errors="none", step=4.0, cells=40)
     np.testing.assert_allclose(result.rank.lost, none.total("power") - result.total("power"), atol=1e-9)
     order = [r["id"] for r in result.as_dict()["rank"]]
-    assert order[0] == f"H{np.argmax(result.rank.lost) + 1}" and "first to be calibrated" in result.summary()
+    assert order[0] == f"H{np.argmax(result.rank.lost) + 1}" and "costliest: cost" in result.summary()
     assert (result.rank.sigma > 0).all()
+
+
+def test_where_no_calibration_pays_that_is_said_and_losses_are_called_so():
+    """Errors drawn from sigmas that a calibration leaves: of these five, by this seed, each rather stays."""
+    result = bs.flux(PLANTS / "five", day="2026-03-21", errors="drawn", seed=2, rank=True, step=6.0, cells=20)
+    worse = replace(result.rank, recalibrated=-0.1 - np.arange(5.0), reaimed=np.full(5, -0.25))
+    none, gain = replace(result, rank=worse).text(), replace(result, rank=replace(worse, reaimed=np.ones(5))).text()
+    assert "to calibrate pays for none" in none and "to shift all aims by constants loses another 1.25 kWh" in none
+    assert "0 of 5" not in none and "below 0 more is lost" in none
+    assert "to shift all aims by constants brings back 5 kWh" in gain
+    some = replace(result, rank=replace(worse, recalibrated=np.array([2.0, -1, -1, -1, 1]), reaimed=np.ones(5))).text()
+    assert "to calibrate the 2 of 5 that gain by it brings back 3 kWh" in some
+
+
+def test_errors_that_are_not_stated_are_not_called_stated():
+    five = files.read(PLANTS / "five")
+    off = {"IA": np.full(5, 1e-3)}
+    says = [
+        bs.flux(replace(five, field=replace(five.field, **x)), at=NOON, cells=10).text().splitlines()[0]
+        for x in ({}, {"sigmas": {}}, {"errors": off})
+    ]
+    assert "of which only sigmas are stated" in says[0] and "as none are stated" in says[1]
+    assert says[2].endswith("errors of the mounts as stated")
 
 
 def test_errors_are_as_diagnosed_where_a_diagnosis_is_named(tmp_path):
@@ -211,7 +247,7 @@ def test_the_accuracy_of_a_day_is_that_of_all_its_times_together():
     day = bs.flux(PLANTS / "five", day="2026-06-21", step=4.0, cells=10)
     relative = np.linspace(0.02, 0.04, len(day.moments))
     noisy = [
-        replace(m, noise=Noise(0 * m.power, tuple(0 * x for x in m.flux), 1000, float(a)))
+        replace(m, noise=Noise(0 * m.power, 0 * m.received, tuple(0 * x for x in m.flux), 1000, float(a)))
         for m, a in zip(day.moments, relative, strict=True)
     ]
     power = np.array([m.power.sum() for m in day.moments])
@@ -219,7 +255,10 @@ def test_the_accuracy_of_a_day_is_that_of_all_its_times_together():
     said = result.as_dict()["monte_carlo"]
     assert said["accuracy"] == pytest.approx(np.sqrt(np.sum((relative * power) ** 2)) / power.sum(), rel=1e-3)
     assert said["accuracy"] < 0.03 and said["accuracy_at_worst_time"] == pytest.approx(0.04)
-    assert f"{100 * said['accuracy']:.2g} % of all times together, 4 % at the worst" in result.text()
+    assert (
+        f"power or brightest cell, the larger: {100 * said['accuracy']:.2g} % of all times together, 4 % at the worst"
+        in result.text()
+    )
     dark = replace(noisy[0], received=np.zeros(1), noise=replace(noisy[0].noise, accuracy=float("inf")))
     assert replace(result, moments=(dark, *noisy[1:])).as_dict()["monte_carlo"]["accuracy"] < 0.04
     assert "no receiver is lit" in replace(result, moments=(dark,), times=result.times[:1]).text()

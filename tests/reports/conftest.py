@@ -207,12 +207,17 @@ def plant_pages(tmp_path_factory):
     camera = Camera("A", (64, 48), 100.0, (31.5, 23.5), bit_depth=8, gamma="srgb", saturation_level=255.0)
     lens = folder / "camera.toml"
     write_camera(lens, camera, (1e-4, 0.1, 1e-3), 1e-4 * np.eye(8), photographs=12, marks=300, rms=0.05, board="m.csv")
-    noon, out = "2026-03-21T12:00", {n: folder / n for n in ("detectors", "record", "drone", "axes", "nothing", "flux")}
+    names = ("detectors", "record", "drone", "axes", "nothing", "flux", "engines")
+    noon, out = "2026-03-21T12:00", {n: folder / n for n in names}
     bs.detectors(folder, out["detectors"], day="2026-03-21", step=3.0, record=noon)
     bs.detectors_read(out["detectors"] / "record.wav", folder, out["record"], at=noon)
     bs.drone(folder, out["drone"], virtual=True)
     bs.drone_read(folder / "photos", folder, out["nothing"], camera=lens, positions=folder / "p.csv")
     bs.flux(folder, out["flux"], day="2026-03-21", step=4.0, cells=10, errors="drawn", rank=True)
+    rays = {"engine": "both", "variant": "llvm_ad_mono", "accuracy": 20, "cells": 10}
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("benchsim.fluxes.traced.BATCH", 2**12)
+        bs.flux(folder, out["engines"], at=noon, **rays)
     out["axes"].mkdir()
     known = {
         "glints": 41, "not_found_in": 2, "outliers": 1, "azimuth_off_mrad": -0.4, "sigma_azimuth_off_mrad": 0.25,

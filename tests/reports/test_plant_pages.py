@@ -1,5 +1,7 @@
 """The pages of a plant as text: the sentences of the summary, what contradicts it first, and no address but data."""
 
+import json
+import math
 import re
 from html import unescape
 
@@ -8,7 +10,7 @@ import pytest
 import benchsim as bs
 from benchsim.bench.errors import BenchsimError
 
-WRITTEN = ("detectors", "record", "drone", "nothing", "flux")
+WRITTEN = ("detectors", "record", "drone", "nothing", "flux", "engines")
 
 
 def words(html):
@@ -20,7 +22,9 @@ def test_a_page_says_what_the_summary_says_and_fetches_nothing(plant_pages, name
     html = plant_pages[name].read_text()
     summary = (plant_pages[name].parent / "summary.txt").read_text().splitlines()
     shown = words(html)
-    told = [x.strip() for x in summary[1:] if not x.startswith("    ") and not x.startswith(("  turn", "  first to"))]
+    deep = [x.startswith("    ") for x in [*summary[1:], ""]]
+    told = [x.strip() for x, own, below in zip(summary[1:], deep, deep[1:], strict=False) if not own and not below]
+    told = [x for x in told if not x.startswith("turn") and not x.endswith(":")]
     assert all(" ".join(x.split()) in shown for x in told) and " ".join(summary[0].split(": ")[-1].split()) in shown
     assert all(x.startswith("data:image/png;base64,") for x in re.findall(r'(?:src|href)="([^"]*)"', html))
     assert "default-src 'none'" in html and "<b>" not in html and html.count("<h1>") == 1
@@ -49,4 +53,8 @@ def test_pages_hold_what_their_command_is_for(plant_pages):
     assert "errors of the virtual flight, each angle" in shown["drone"] and "camera point" in shown["drone"]
     assert "-0.400 ± 0.250" in shown["axes"] and "1.200 ± 0.210" in shown["axes"]
     assert "axes of 0 of 4 heliostats" in shown["nothing"] and "uncertainty is made of" not in shown["nothing"]
+    (parting,) = json.loads((plant_pages["engines"].parent / "flux.json").read_text())["partings"]
+    peak, apart = parting["peak_kw_m2"], 1e3 * math.hypot(*parting["centroid_apart_m"])
+    assert f"Monte Carlo {peak['monte_carlo']:.4g} ± {peak['sigma']:.2g} kW/m²" in shown["engines"]
+    assert f"centroids {apart:.0f} mm apart" in shown["engines"] and "at 2026-03-21 12:00" in shown["engines"]
     assert "The costliest first." in shown["flux"] and "calibration brings back" in shown["flux"]

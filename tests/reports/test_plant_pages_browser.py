@@ -8,7 +8,7 @@ from chromium import WIDTHS, asked, needs_chromium
 
 pytestmark = needs_chromium
 
-PAGES = ("detectors", "record", "drone", "axes", "nothing", "flux")
+PAGES = ("detectors", "record", "drone", "axes", "nothing", "flux", "engines")
 
 COLUMNS = "[...document.querySelectorAll('#rows tbody tr')].map(r => r.cells[{}].textContent)"
 

@@ -28,8 +28,8 @@ def test_fig4_has_both_cylinders_in_six_panels(script, tmp_path, capsys):
 
 
 def test_fig4_by_the_command_is_that_of_the_vector_model(script):
-    """Of mirrors in their axes; the almanac's sun and the paper's stand a minute of arc apart. To a thousandth of how
-    far off a beam of 12 mrad, and of 0.2 rad, lands."""
+    """Of mirrors in their axes: within 8.0 mm, as the manual says, for 12 mrad, with 2 mm to spare; for 0.2 rad within
+    0.3 % of how far off the beam lands. The almanac's sun and the paper's stand a minute of arc apart."""
     fig4 = script("fig4")
     errors, hours = np.array([-0.2, -12e-3, 12e-3]), [8.0, 12.0, 16.0]
     found = fig4.by_command(datetime.date(2019, 6, 21), hours, errors)
@@ -40,6 +40,7 @@ def test_fig4_by_the_command_is_that_of_the_vector_model(script):
             away = np.linalg.norm(at - expected, axis=-1)
             assert (real & np.isfinite(away)).sum() >= 2
             assert np.nanmax(away[real] / np.linalg.norm(expected[real], axis=-1)) < 3e-3
+            assert away[1:].max() < 10e-3
 
 
 def test_fig4_of_the_vector_model_is_drawn(script, tmp_path):
