@@ -238,8 +238,8 @@ def _remarks(problem: Problem, naming: Naming, findings: Findings) -> list[str]:
         out.append("Fewer than three settings: none can be left out to test the prediction.")
     if findings.claim is not None and findings.refuted:
         out.append(
-            f"{' + '.join(findings.claim.best)} leaves more than noise, and settings left out are predicted no better "
-            "with it: it may stand for something else."
+            f"{' + '.join(findings.claim.best)} leaves more than noise, and settings left out are not clearly better "
+            "predicted with it: it may stand for something else."
         )
     elif findings.claim is not None and not findings.stands:
         of = findings.free[0].attachment

@@ -121,10 +121,10 @@ def test_a_name_stands_beside_a_function_that_explains_something_else():
         (0.999, 30.0, {"apart": {"bow": 2.9}}, "probable"),
         (0.999, 30.0, {"apart": {"bow": -0.1}}, None),
         (0.999, 30.0, {"apart": {"plume": -0.1}}, "named"),
-        # Whatever is left, a name stands that predicts what it was not fitted to.
+        # Whatever is left, a name stands that is seen to predict what it was not fitted to.
         (0.999, 30.0, {"further": (MUCH,)}, "named"),
-        (0.999, 30.0, {"further": (MUCH,), "predicted": 1.0}, "named"),
-        (0.999, 30.0, {"further": (MUCH,), "predicted": -1.0}, None),
+        (0.999, 30.0, {"further": (MUCH,), "predicted": 3.0}, "named"),
+        (0.999, 30.0, {"further": (MUCH,), "predicted": 2.9}, None),
         (0.999, -0.1, {"further": (MUCH,), "predicted": 1.0}, None),
     ],
 )
