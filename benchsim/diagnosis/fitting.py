@@ -282,17 +282,15 @@ def _held(context: Context, h: Hypothesis, end: Solution) -> tuple[Array, float]
     dt over t > 0 is √(π/2K) erfcx(F/√2K), over the range. A Gaussian would count what lies beyond the range as had.
     """
     p, first = len(context.problem.nuisances), len(end.theta) - len(h.shapes)
-    columns, force = -end.jacobian[:, p:].copy(), end.jacobian.T @ end.residual
+    columns, weight = -end.jacobian[:, p:], 0.0
     inside = end.jacobian[:, :first]
-    precision = _prior(context, h, (0, _first_term(h)))[0][:first]
-    weight = 0.0
     for k, shape in enumerate(h.shapes, first):
-        low, high = min(shape.grid), max(shape.grid)
-        inward = force[k] if end.theta[k] <= low else -force[k] if end.theta[k] >= high else 0.0
+        own = end.jacobian[:, k]
+        force, at = float(own @ end.residual), end.theta[k]
+        inward = force if at <= min(shape.grid) else -force if at >= max(shape.grid) else 0.0
         if inward <= 0.0:
             continue
-        own = end.jacobian[:, k]
-        cross = inside.T @ own
+        cross, precision = inside.T @ own, _prior(context, h, (0, _first_term(h)))[0][:first]
         curvature = own @ own - cross @ np.linalg.lstsq(inside.T @ inside + np.diag(precision), cross)[0]
         root = np.sqrt(2 * max(float(curvature), 1e-300))
         weight += min(0.0, float(np.log(np.sqrt(np.pi) / root * erfcx(inward / root) / span(shape))))

@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ LIMIT = 1e-4
 
 
 LACKS = ("hidden by another mirror", "with a trace beside the arrays", "too faint")
+"""Why a heliostat is not seen at a time: the first of these that holds."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,7 +132,7 @@ class DetectorsResult(Shown):
         many = ", ".join(f"{what} at {n}" for what, n in zip(LACKS, lacks, strict=True) if n)
         return f"{'seen at times' if seen.any() else 'never seen'}; of {len(seen)} times {many}"
 
-    @property
+    @cached_property
     def lacks(self) -> NDArray[np.int_]:
         """(3, k): at how many times each of `LACKS` is why a heliostat is not seen."""
         lit = self.crossed & ~self.hidden

@@ -40,6 +40,7 @@ COARSE = 1e-3
 """Change by the grid's edge correction above which a remark is due."""
 
 SURE = "standard error of a receiver's power or brightest cell, the larger"
+"""What Monte Carlo's accuracy is of."""
 
 TOLD = 5
 """Heliostats of a summary; the files have all."""

@@ -111,18 +111,17 @@ def detectors(
             return lambda done: progress(what, 0.98 * (first + done) / weight)
 
         result = _looked(p, w, times, through("light on the arrays", 0.0))
-        result = replace(result, dark=days.without(asked, times))
         if place:
             moved = _placed(p, w, times, through("places", 1.0))
             again = _looked(p, watch(p, moved), times, through("light on the arrays", 2.0))
             if again.share > result.share:
-                result = replace(again, before=result.share, dark=result.dark)
+                result = replace(again, before=result.share)
             else:
                 result = replace(result, before=result.share)
         if when is not None:
             done = simulate(result.watch, when, errors, seed, through("record", weight - 3.0))
             result = replace(result, record=done)
-        result = replace(result, folder=None if output is None else Path(output))
+        result = replace(result, dark=days.without(asked, times), folder=None if output is None else Path(output))
         if staging is not None:
             write(result, staging)
     progress("done", 1.0)
