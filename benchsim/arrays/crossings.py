@@ -59,7 +59,7 @@ class Crossing:
         Of :data:`STATES`.
     position, sigma : float
         Coordinate along the array at which the trace crosses it, 1 sigma [mm]; nan without light.
-    angle, angle_sigma : float
+    angle : float
         The other angle that puts it there, all else aligned [rad].
     strength : float
         χ² by which light of this prism lowers the array's misfit.
@@ -72,7 +72,6 @@ class Crossing:
     position: float
     sigma: float
     angle: float
-    angle_sigma: float
     strength: float
 
 
@@ -131,21 +130,17 @@ def family(plant: Plant, heliostat: int, kind: int) -> Family:
     )
 
 
-def crossings_of(
-    plant: Plant, lines: Lines, noise: Noise, heliostat: int, kind: int, prisms: Family | None = None
-) -> list[Crossing]:
+def crossings_of(plant: Plant, lines: Lines, noise: Noise, heliostat: int, kind: int) -> list[Crossing]:
     """What becomes of one prism on each array.
 
     Parameters
     ----------
     plant, lines, noise
     heliostat, kind : int
-    prisms : Family, optional
-        :func:`family`, if it is known already.
     """
     if not lines.resolved[heliostat, kind]:
         return [_none(heliostat, kind, array, "unresolved") for array in range(len(plant.arrays))]
-    light = prisms or family(plant, heliostat, kind)
+    light = family(plant, heliostat, kind)
     density = noise.density(plant.rates[heliostat, kind], uneven(lines, plant, heliostat, kind))
     gain = float(lines.gain[heliostat, kind])
     out = []
@@ -195,7 +190,7 @@ def _crossing(
     inside = along[0] <= place <= along[-1]
     known = np.isfinite(spread) and spread < _VAGUE * width and abs(angle) < RANGE
     state = "crosses" if inside and known else "rim"
-    return Crossing(heliostat, kind, array, state, place, float(spread), angle, sigma, strength)
+    return Crossing(heliostat, kind, array, state, place, float(spread), angle, strength)
 
 
 def zero(along: Array, miss: Array) -> tuple[float, float]:
@@ -209,4 +204,4 @@ def zero(along: Array, miss: Array) -> tuple[float, float]:
 
 def _none(heliostat: int, kind: int, array: int, state: str, strength: float = np.nan) -> Crossing:
     nan = float("nan")
-    return Crossing(heliostat, kind, array, state, nan, nan, nan, nan, strength)
+    return Crossing(heliostat, kind, array, state, nan, nan, nan, strength)

@@ -49,7 +49,7 @@ def influence(u: Array, blur: Array | float = 0.0) -> tuple[Array, Array]:
     return weight * bent, weight * (left * (1 - 3 * CUBIC * (at * at + var)) - bent * (u / wide))
 
 
-def centre(q: Array, light: Array, width: Array, start: Array, blur: Array | float = 0.0, steps: int = STEPS) -> Array:
+def centre(q: Array, light: Array, width: Array, start: Array, blur: Array | float = 0.0) -> Array:
     """Centres of profiles whose adaptive widths are known.
 
     Parameters
@@ -62,7 +62,6 @@ def centre(q: Array, light: Array, width: Array, start: Array, blur: Array | flo
         Within a width of the centre.
     blur : float, or array that broadcasts against q
         rms of a Gaussian into which the light of each point is spread.
-    steps : int
 
     Returns
     -------
@@ -71,7 +70,7 @@ def centre(q: Array, light: Array, width: Array, start: Array, blur: Array | flo
     """
     scale = width[:, None]
     mu, spread = np.asarray(start, float), np.asarray(blur, float) / scale
-    for _ in range(steps):
+    for _ in range(STEPS):
         pull, slope = (np.einsum("mn,mn->m", light, p) for p in influence((q - mu[:, None]) / scale, spread))
         # A flat or a double crest holds no centre: it stays where it was.
         step = pull / np.where(slope > 0, slope, np.inf)

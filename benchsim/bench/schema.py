@@ -89,9 +89,6 @@ class UncertaintyTable(Table):
     intrinsics_sigma: NonNegativeTriple = [0.0, 0.0, 0.0]
 
 
-SurfaceRow = tuple[float, float, str, float]
-
-
 class ExpanderTable(Table):
     surfaces: Annotated[list[list[float | str]], Field(min_length=1, max_length=100)]
     defocus_mm: Length = 0.0

@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from benchsim.diagnosis import noise as noises
-from benchsim.diagnosis import screen
+from benchsim.diagnosis import screen, settings
 from benchsim.diagnosis.degeneracy import estimate, space
-from benchsim.diagnosis.discrepancy import Attached, absorb, weigh
+from benchsim.diagnosis.discrepancy import Attached, absorb, amplitudes, weigh
 from benchsim.diagnosis.evidence import Term, log_prior
 from benchsim.diagnosis.functions import Prepared, kernel_root, prepare, smooth_functions, whitened
 from benchsim.diagnosis.hypothesis import Effects, Fit, Naming, Noise
 from benchsim.diagnosis.levels import AS_WELL
-from benchsim.diagnosis.linear import Linear, factors, marginal, nuisance_posterior, only, precision, raised, whiten
+from benchsim.diagnosis.linear import Linear, factors, nuisance_posterior, only, precision, raised, whiten
 from benchsim.diagnosis.problem import Attachment, Problem
 from benchsim.diagnosis.result import HeldOut
 
@@ -143,10 +143,8 @@ def _judged_by(problem: Problem, naming: Naming, linear: Linear, laid: Attached 
     """
     all_of_it = np.column_stack([linear.residual, linear.nuisance, linear.effect])
     raw = raised(factors(naming.noise.covariance), all_of_it)
-    known = {q.name: q for e in problem.catalogue for q in e.parameters}
-    sigma = np.concatenate(
-        [np.ones(linear.nuisance.shape[1]), [known[n].sigma ** known[n].power for n in linear.names]]
-    )
+    own = [p.sigma**p.power for p in amplitudes(problem, linear.names)]
+    sigma = np.concatenate([np.ones(linear.nuisance.shape[1]), own])
     functions = smooth_functions(problem)
     if laid is not None:
         a = laid.attachment
@@ -156,13 +154,10 @@ def _judged_by(problem: Problem, naming: Naming, linear: Linear, laid: Attached 
 
 def best_scale(linear: Linear, naming: Naming, columns: Array) -> float:
     """Most probable setting scale with ``columns`` (unit prior variance) among the nuisances."""
-    found = []
-    for scale, weight in zip(naming.setting_scales, naming.scale_weights, strict=True):
-        m = marginal(linear, columns, float(scale))
-        inner = np.eye(columns.shape[1]) + m.gram
-        gain = 0.5 * (m.projection @ np.linalg.solve(inner, m.projection) - np.linalg.slogdet(inner)[1])
-        found.append(np.log(weight) - 0.5 * (m.chi2 + m.logdet) + gain)
-    return float(naming.setting_scales[int(np.argmax(found))])
+    k = columns.shape[1]
+    every = Term(tuple(range(k)), (1.0,) * k, (k, 0, 0), 0.0)
+    cells = settings.log_cells(linear, columns, naming.setting_scales, naming.scale_weights, [every])
+    return float(naming.setting_scales[int(np.argmax(cells))])
 
 
 def excess(linear: Linear, residual: Array, test: NDArray[np.bool_], scale: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchsim.diagnosis import (
     cross_validation,
@@ -28,8 +27,6 @@ from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import CONFIDENCES, Found, Location
 from benchsim.diagnosis.shapes import widened
 from benchsim.diagnosis.verdict import Findings, Further
-
-Array = NDArray[np.float64]
 
 CONCERN = 12.0
 """ln Z behind the best at which an attachment is left as it is."""

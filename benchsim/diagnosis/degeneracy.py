@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from benchsim.diagnosis import settings
+from benchsim.diagnosis.discrepancy import amplitudes
 from benchsim.diagnosis.hypothesis import Effects, Fit, Naming
 from benchsim.diagnosis.levels import APART, COST, LIKELY, MEMBERS, MISSING, SUSPECTED
 from benchsim.diagnosis.linear import Linear, marginal
@@ -60,11 +61,10 @@ def bounds(parameter: Parameter) -> tuple[float, float]:
     return (0.0 if parameter.one_sided or parameter.power > 1 else -cap), cap
 
 
-def space(problem: Problem, linear: Linear, scale: float, keep: NDArray[np.bool_] | None = None) -> Space:
+def space(problem: Problem, linear: Linear, scale: float) -> Space:
     """The space of a linearisation that holds the whole catalogue's amplitudes."""
-    m = marginal(linear, linear.effect, scale, keep)
-    known = {p.name: p for e in problem.catalogue for p in e.parameters}
-    many = [known[n] for n in linear.names]
+    m = marginal(linear, linear.effect, scale)
+    many = amplitudes(problem, linear.names)
     place = {n: i for i, n in enumerate(linear.names)}
     index = {
         e.name: np.array([place[p.name] for p in e.parameters if p.name in place], np.intp) for e in problem.catalogue
@@ -204,14 +204,11 @@ class Claim:
         Its effects that nothing close can replace.
     classes : tuple of tuple of Effects
         Members of each open alternative, the most probable first.
-    nearest : float
-        Separation of ``best`` from the nearest rival, in sigma.
     """
 
     best: Effects
     lone: tuple[str, ...]
     classes: tuple[tuple[Effects, ...], ...]
-    nearest: float
 
 
 @dataclass(frozen=True)
@@ -259,15 +256,14 @@ def claim(hypotheses: Weighed, best: Effects, signal: Array, within: Space) -> C
         near |= {h for h in others if own - z[h] < MISSING}
     rivals = [h for h in near if not any(set(o) < set(h) and z[o] >= z[h] for o in near)]
     rivals.sort(key=lambda h: -z[h])
-    nearest = min(apart.values(), default=float("inf"))
     swaps = {e: [_less(r, mine - {e}) for r in rivals if mine - {e} < set(r)] for e in best}
     together = {frozenset(n for part in parts for n in part) for parts in product(*([(e,), *swaps[e]] for e in best))}
     if all(frozenset(r) in together for r in rivals):
         classes = tuple(((e,), *swaps[e])[:MEMBERS] for e in best if swaps[e])
-        return Claim(best, tuple(e for e in best if not swaps[e]), classes, nearest)
+        return Claim(best, tuple(e for e in best if not swaps[e]), classes)
     common = mine.intersection(*rivals)
     members = tuple(_less(h, common) for h in (best, *rivals)[:MEMBERS])
-    return Claim(best, tuple(e for e in best if e in common), (members,), nearest)
+    return Claim(best, tuple(e for e in best if e in common), (members,))
 
 
 def _less(effects: Effects, dropped: frozenset[str]) -> Effects:

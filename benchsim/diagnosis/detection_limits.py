@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchsim.diagnosis.degeneracy import Space
 from benchsim.diagnosis.hypothesis import Effects
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Limit
-
-Array = NDArray[np.float64]
 
 SIGMAS = 5.0
 

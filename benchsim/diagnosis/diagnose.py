@@ -137,6 +137,10 @@ def _open(
     if not groups and not unnamed and not doubt:
         return (), ()
     further = problem.next_recordings() if problem.next_recordings is not None else ()
+
+    def rank(alive: Sequence[Alive]) -> tuple[SplitBy, ...]:
+        return next_experiment.rank(problem, best.linear, best.fit.setting_scale, best.space, alive, further)
+
     lone = tuple(f.name for f in found)
     everyone: list[Alive] = []
     made = []
@@ -147,7 +151,7 @@ def _open(
         everyone += alive
         # All members are stated as open: what splits them is sought whichever of them it is.
         even = [replace(a, probability=1 / len(alive)) for a in alive]
-        ranked = next_experiment.rank(problem, best.linear, _scale(best), best.space, even, further)
+        ranked = rank(even)
         made.append(Class(members, _together(best, members, rest), ranked[0] if ranked else None))
     if unnamed:
         top = sorted((h for h in best.hypotheses.log_evidence.items() if h[0]), key=lambda h: -h[1])
@@ -155,7 +159,7 @@ def _open(
     elif not groups:
         own = best.fit.effects
         everyone = _alive(best, (own, tuple(e for e in own if e not in doubt)))
-    return tuple(made), next_experiment.rank(problem, best.linear, _scale(best), best.space, everyone, further)
+    return tuple(made), rank(everyone)
 
 
 def _together(best: Best, members: Sequence[Effects], rest: Effects) -> float:
@@ -165,10 +169,6 @@ def _together(best: Best, members: Sequence[Effects], rest: Effects) -> float:
     z = best.hypotheses.log_evidence
     listed = [z[h] for h in z if set(h) in [{*m, *rest} for m in members]]
     return float(np.exp(logsumexp(listed) - logsumexp(list(z.values())))) if listed else 0.0
-
-
-def _scale(best: Best) -> float:
-    return best.fit.setting_scale
 
 
 def _alive(best: Best, sets: Sequence[Effects]) -> list[Alive]:
@@ -194,23 +194,14 @@ def _residuals(
         pull, _ = nuisance_posterior(base, rest, laid.scale)
         after = raised(factors(naming.noise.covariance), rest - base.nuisance @ pull)
     nothing = np.full(len(before), np.nan)
-    return Residuals(
-        before,
-        after,
-        nothing if shown is None else shown.before,
-        nothing if shown is None else shown.after,
-        sigma,
-    )
+    without, found = (nothing, nothing) if shown is None else (shown.before, shown.after)
+    return Residuals(before, after, without, found, sigma)
 
 
 def _rms(problem: Problem, residuals: Residuals) -> Mapping[str, tuple[float, float]]:
-    def one(values: Array) -> float:
-        return float(np.sqrt(np.mean(values**2)))
-
-    return {
-        str(k): (one(residuals.before[problem.kind == k]), one(residuals.after[problem.kind == k]))
-        for k in np.unique(problem.kind)
-    }
+    both = np.stack([residuals.before, residuals.after], axis=1)
+    mean = {str(k): np.mean(both[problem.kind == k] ** 2, axis=0) for k in np.unique(problem.kind)}
+    return {k: (float(np.sqrt(before)), float(np.sqrt(after))) for k, (before, after) in mean.items()}
 
 
 def _remarks(problem: Problem, naming: Naming, findings: Findings) -> list[str]:

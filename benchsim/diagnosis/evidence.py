@@ -53,8 +53,6 @@ class Term:
         ln of the prior weight on the grid.
     field_sigma : tuple of float
         Of the random fields it holds, in the order of the hypothesis.
-    node : tuple of int
-        Which grid node of each effect.
     """
 
     columns: tuple[int, ...]
@@ -62,7 +60,6 @@ class Term:
     counts: tuple[int, int, int]
     log_weight: float
     field_sigma: tuple[float, ...] = ()
-    node: tuple[int, ...] = ()
 
 
 def log_prior(effects: Sequence[str], catalogue: Sequence[str]) -> float:

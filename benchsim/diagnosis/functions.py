@@ -63,15 +63,14 @@ def whitened(
     problem: Problem,
     prepared: tuple[Prepared, ...],
     covariance: tuple[Array, ...],
-    keep: NDArray[np.bool_] | None = None,
+    keep: NDArray[np.bool_],
 ) -> tuple[Prepared, ...]:
-    """The same under another noise, for the data in ``keep`` (whole blocks; default all)."""
+    """The same under another noise, for the data in ``keep`` (whole blocks)."""
     if not prepared:
         return ()
     columns = [c for p in prepared for c in p.columns]
     white, _ = whiten(problem, covariance, np.column_stack(columns))
-    if keep is not None:
-        white[~keep] = 0.0
+    white[~keep] = 0.0
     parts = iter(np.split(white, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1))
     out = []
     for p in prepared:

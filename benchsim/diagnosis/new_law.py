@@ -81,25 +81,20 @@ def select(attachment: Attachment, white: Array, base: Linear, scale: float) -> 
     m = marginal(base, white @ at_knots(attachment, candidates), scale)
     prior = attachment.sigma**-2.0
 
-    def weigh_set(chosen: list[int]) -> float:
-        g, p = m.gram[np.ix_(chosen, chosen)], m.projection[chosen]
-        inner = g + prior * np.eye(len(chosen))
-        return float(0.5 * (p @ np.linalg.solve(inner, p) - np.linalg.slogdet(inner / prior)[1]))
+    def fitted(some: list[int]) -> tuple[float, Array]:
+        p, inner = m.projection[some], m.gram[np.ix_(some, some)] + prior * np.eye(len(some))
+        best = np.linalg.solve(inner, p)
+        return float(0.5 * (p @ best - np.linalg.slogdet(inner / prior)[1])), best
 
     chosen: list[int] = []
-    value = 0.0
-    while len(chosen) < TERMS:
-        trials = [(weigh_set([*chosen, k]), k) for k in range(len(candidates)) if k not in chosen]
-        if not trials:
-            break
-        better, k = max(trials)
+    value, found = 0.0, np.zeros(0)
+    while len(chosen) < min(TERMS, len(candidates)):
+        k = max((k for k in range(len(candidates)) if k not in chosen), key=lambda k: (fitted([*chosen, k])[0], k))
+        better, amplitudes = fitted([*chosen, k])
         if better < value + MARGIN:
             break
-        chosen, value = [*chosen, k], better
-    if not chosen:
-        return (), np.zeros(0)
-    inner = m.gram[np.ix_(chosen, chosen)] + prior * np.eye(len(chosen))
-    return tuple(candidates[k] for k in chosen), np.linalg.solve(inner, m.projection[chosen])
+        chosen, value, found = [*chosen, k], better, amplitudes
+    return tuple(candidates[k] for k in chosen), found
 
 
 @dataclass(frozen=True)

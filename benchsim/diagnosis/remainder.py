@@ -100,11 +100,8 @@ class Remainder:
         return max(parts)
 
 
-@dataclass(frozen=True)
-class Modes:
-    """Whitened columns of each family, before they are brought into a hypothesis' marginal space."""
-
-    families: dict[str, Array]
+Modes = Mapping[str, Array]
+"""Whitened columns of each family, before they are brought into a hypothesis' marginal space."""
 
 
 def modes(problem: Problem, linear: Linear, covariance: tuple[Array, ...]) -> Modes:
@@ -141,7 +138,7 @@ def modes(problem: Problem, linear: Linear, covariance: tuple[Array, ...]) -> Mo
     columns = [linear.nuisance[:, many].sum(axis=1) for many in shared.values() if len(many) > 1]
     if columns:
         families["pulls"] = np.column_stack(columns)
-    return Modes(families)
+    return families
 
 
 def _levelled(linear: Linear, part: Array) -> list[Array]:
@@ -174,7 +171,7 @@ def remainder(
         Cholesky factors of the blocks' covariance, and the kind of every datum: without them ``rms`` is nan.
     """
     found = {}
-    for name, columns in families.families.items():
+    for name, columns in families.items():
         m = marginal(linear, columns, scale)
         values, vectors = np.linalg.eigh(m.gram)
         keep = values > 1e-8 * values[-1]

@@ -9,7 +9,7 @@ them is weighed again about the refitted point.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -115,17 +115,15 @@ def _bends(problem: Problem, points: Sequence[tuple[Values, Sequence[Parameter]]
 def effect_terms(catalogue: Catalogue, name: str, offset: int = 0) -> list[Term]:
     """All integrals of one effect: its grid nodes times its population sigmas."""
     effect = catalogue.effects[name]
-    out = []
-    for i, node in enumerate(catalogue.nodes[name]):
-        columns = [c + offset for c in node.columns]
-        for field_sigma, log_weight in evidence.field_grid(effect):
-            made = evidence.term(
-                evidence.entries(effect, columns, field_sigma),
-                node.log_weight + log_weight,
-                () if field_sigma is None else (field_sigma,),
-            )
-            out.append(replace(made, node=(i,)))
-    return out
+    return [
+        evidence.term(
+            evidence.entries(effect, [c + offset for c in node.columns], field_sigma),
+            node.log_weight + log_weight,
+            () if field_sigma is None else (field_sigma,),
+        )
+        for node in catalogue.nodes[name]
+        for field_sigma, log_weight in evidence.field_grid(effect)
+    ]
 
 
 def join(first: Term, second: Term) -> Term:
@@ -149,7 +147,6 @@ def join(first: Term, second: Term) -> Term:
         ),
         first.log_weight + second.log_weight,
         first.field_sigma + second.field_sigma,
-        first.node + second.node,
     )
 
 

@@ -12,7 +12,6 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchsim.diagnosis import degeneracy, evidence, linear
 from benchsim.diagnosis.explored import Begun, Search, log_z_about, strayed, whole
@@ -22,7 +21,6 @@ from benchsim.diagnosis.levels import APART, COST, MEMBERS
 from benchsim.diagnosis.screen import Catalogue
 from benchsim.diagnosis.starts import at_fit, places, starts
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 IDLE = 1.5

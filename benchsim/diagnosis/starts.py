@@ -134,12 +134,12 @@ def _anew(s: Search, parent: Solved, name: str) -> list[Place]:
 
 def _of(s: Search, solved: Solved, name: str) -> Place:
     """One effect as a fit has it."""
-    h = s.hypothesis(solved.fit.effects)
-    number = {a.name: i for i, a in enumerate(h.amplitudes)}, {a.name: i for i, a in enumerate(h.shapes)}
-    effect = s.catalogue.effects[name]
-    amplitude = [solved.point.amplitude[number[0][a.name]] for a in evidence.amplitudes(effect)]
-    shape = [solved.point.shape[number[1][a.name]] for a in evidence.shapes(effect)]
-    return Place(0.0, np.array(amplitude), np.array(shape))
+    h, own = s.hypothesis(solved.fit.effects), s.catalogue.effects[name].parameters
+    amplitude, shape = (
+        x[[p in own for p in known]]
+        for x, known in ((solved.point.amplitude, h.amplitudes), (solved.point.shape, h.shapes))
+    )
+    return Place(0.0, amplitude, shape)
 
 
 def _point(s: Search, h: Hypothesis, nuisance: Array, places: Mapping[str, Place]) -> Point:

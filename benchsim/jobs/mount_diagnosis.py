@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from benchsim import diagnosis
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
-from benchsim.diagnosis.evidence import shapes
+from benchsim.diagnosis.evidence import PRESENCE, shapes
 from benchsim.diagnosis.problem import Effect, Problem
 from benchsim.diagnosis.result import Diagnosis, chosen
 from benchsim.instruments.mount import effects, functions, shared_causes, small_terms, solar, stated, witnesses
@@ -32,7 +32,6 @@ from benchsim.jobs.shown import Diagnosed
 from benchsim.reports import diagnosis_pictures as pictures
 from benchsim.reports import mount_pictures
 from benchsim.reports.diagnosis_text import About, summary
-from benchsim.reports.page_words import PRIOR
 from benchsim.reports.vocabulary import mount as vocabulary
 
 ROUNDS = 2
@@ -338,7 +337,7 @@ def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:
         law=None,
         next=(),
         held_out=None if held is None else replace(held, excess_chi2_after=held.excess_chi2_before),
-        probability=dict.fromkeys(d.probability, PRIOR),
+        probability=dict.fromkeys(d.probability, PRESENCE),
         rms={k: (before, before) for k, (before, _) in d.rms.items()},
         values={k: v for k, v in d.values.items() if k not in own},
         residuals=replace(r, after=r.before, held_out_after=r.held_out_before),

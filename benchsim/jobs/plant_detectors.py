@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from benchsim.arrays import placing
@@ -25,8 +24,6 @@ from benchsim.plant import days, files
 from benchsim.plant.model import Plant
 from benchsim.plant.sensors import CLEAR
 from benchsim.plant.station import Station
-
-Array = NDArray[np.float64]
 
 LOWEST = np.radians(10.0)
 """Height of the sun below which no plant runs."""

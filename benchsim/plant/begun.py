@@ -1,4 +1,4 @@
-"""Plants to begin with: a field laid out by radial stagger, and the heliostats of two papers' figures."""
+"""Plants to begin with: a field laid out by radial stagger."""
 
 from __future__ import annotations
 
@@ -63,73 +63,6 @@ IA_sigma_mrad = 0.7            # azimuth; IE elevation, CA canting, AN and AW ti
 IE_sigma_mrad = 0.7
 """
 
-FIVE = """\
-# The five heliostats of Lara-Cerecedo et al. 2016, https://doi.org/10.1155/2016/3158091, Figs 8 and 9: 120 m from the
-# tower at -60, -30, 0, 30 and 60 deg from north. Mirror, target and sigma are not printed: they are this project's.
-format = "benchsim-plant/1"
-title = "Five heliostats at 120 m"
-
-[site]
-latitude_deg = 29.0
-longitude_deg = -110.96
-elevation_m = 200.0
-time_zone = "America/Hermosillo"
-attenuation = "none"
-
-[[receiver]]
-name = "target"
-centre_m = [0.0, 0.0, 32.0]
-width_m = 6.0
-height_m = 6.0
-
-[sun]
-shape = "gaussian"
-sigma_mrad = 2.5
-
-[optics]
-slope_mrad = 1.0
-reflectance = 0.9
-
-[heliostats]
-table = "heliostats.csv"
-width_m = 6.0
-height_m = 6.0
-
-[errors]                       # the paper's lie within 3 mrad: sigmas of an even distribution
-IA_sigma_mrad = 1.73
-IE_sigma_mrad = 1.73
-CA_sigma_mrad = 1.73
-AN_sigma_mrad = 1.2
-AW_sigma_mrad = 1.2
-"""
-
-SIX = """\
-# Six heliostats in the frame of Carretero et al. 2019, Figs 4 and 5. The paper prints their places only in its picture;
-# these, the latitude, the receiver and the mirrors are this project's.
-format = "benchsim-plant/1"
-title = "Six heliostats below a target"
-
-[site]
-latitude_deg = 40.4
-longitude_deg = 0.0
-attenuation = "none"
-
-[[receiver]]
-name = "target"
-centre_m = [0.0, 0.0, 150.0]
-width_m = 14.0
-height_m = 14.0
-
-[optics]
-slope_mrad = 1.0
-reflectance = 0.9
-
-[heliostats]
-table = "heliostats.csv"
-width_m = 10.0
-height_m = 10.0
-"""
-
 
 def radial(folder: Path, count: int) -> None:
     """Write a plant of heliostats in radial stagger to 60 deg on either side of north; the tower grows with it."""
@@ -137,18 +70,6 @@ def radial(folder: Path, count: int) -> None:
     tower, receiver = round(40 * grown, 1), round(2 * grown, 1)
     places = radial_stagger(count, 4e3, 3e3, 30e3 * grown, 1e3 * (tower - 2.5), math.radians(60)) / 1e3
     _write(folder, places, 2.5, RADIAL.format(table=TABLE, tower=tower, receiver=receiver))
-
-
-def five(folder: Path) -> None:
-    """Write the paper's plant."""
-    psi = np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
-    _write(folder, 120 * np.stack([np.sin(psi), np.cos(psi)], axis=1), 0.0, FIVE)
-
-
-def six(folder: Path) -> None:
-    """Write a plant of six, three near and three far."""
-    places = [[16.0, 150.0], [-150.0, 80.0], [100.0, 100.0], [350.0, 800.0], [-450.0, 650.0], [0.0, 900.0]]
-    _write(folder, np.array(places), 7.0, SIX)
 
 
 def _write(folder: Path, places: Array, up: float, text: str) -> None:

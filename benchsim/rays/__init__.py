@@ -10,7 +10,7 @@ Predictions are asked for by the thousand. `interpolated_trace` therefore traces
 pass.
 """
 
-from benchsim.rays.camera import board_points, pixel_rays, project, project_board, see
+from benchsim.rays.camera import board_points, pixel_rays, project, see
 from benchsim.rays.curve import irradiance, irradiance_profiles, trace_curve
 from benchsim.rays.effects import EFFECTS
 from benchsim.rays.prediction import Case, ghost, predict, predict_many
@@ -26,7 +26,6 @@ __all__ = [
     "predict",
     "predict_many",
     "project",
-    "project_board",
     "see",
     "trace_curve",
 ]

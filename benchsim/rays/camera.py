@@ -106,13 +106,8 @@ def _undistorted(pixels: Array, pinhole: Array, distortion: Array) -> Array:
     return np.asarray(cv2.undistortPoints(pixels, pinhole, distortion, None, None, None, UNDISTORT))
 
 
-def project_board(camera: Camera, rotation: Array, translation: Array, placement: Placement, board: Array) -> Array:
-    """Pixels (..., 2) [px] of points (..., 2) [mm] of the board where the placement has it."""
-    return project(camera, rotation, translation, screen.to_world(placement, board))
-
-
 def board_points(camera: Camera, rotation: Array, translation: Array, placement: Placement, pixels: Array) -> Array:
-    """Board coordinates (..., 2) [mm] seen at pixels (..., 2) [px]; the inverse of `project_board`."""
+    """Board coordinates (..., 2) [mm] seen at pixels (..., 2) [px] where the placement has it."""
     origin, direction = pixel_rays(camera, rotation, translation, pixels)
     return screen.meet(placement, np.broadcast_to(origin, direction.shape), direction)[0]
 

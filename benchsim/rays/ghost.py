@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchsim.bench.centre import influence
 from benchsim.bench.curve import Curve, signed_distance
@@ -17,8 +16,6 @@ from benchsim.rays.interpolated_trace import FAINT, left_of
 from benchsim.rays.phases import axis_points, sample_phases
 from benchsim.rays.sweep import cuts
 from benchsim.rays.width import widths
-
-Array = NDArray[np.float64]
 
 
 def pulled(curve: Curve, ghost: Curve | None) -> Curve:

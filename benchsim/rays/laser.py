@@ -172,27 +172,6 @@ def cross(a: Array, b: Array) -> Array:
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def direction(curvature: float, point: Array, axis: Array, x: Array) -> Array:
-    """Direction of travel of the beam's ray through x, not normalised: its component along the axis is 1 + κ ζ.
-
-    Parameters
-    ----------
-    curvature : float
-        κ of the wavefront at the reference plane [1/mm], > 0 diverging.
-    point : (3,) array [mm]
-        L, where the axis meets the reference plane.
-    axis : (3,) array
-        d, unit, of travel.
-    x : (..., 3) array [mm]
-        Points on this side of a converging beam's focus, where 1 + κ ζ > 0.
-
-    Returns
-    -------
-    (..., 3) ndarray
-    """
-    return axis + curvature * (x - point)
-
-
 @dataclass(frozen=True, eq=False)
 class Beam:
     """The beam of one exposure, where it stands.

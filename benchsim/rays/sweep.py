@@ -254,16 +254,6 @@ def cuts(
     return Profiles(q, weight, e - late, np.broadcast_to(lateral, q.shape), np.broadcast_to(chirp, q.shape))
 
 
-def profiles(bench: Bench, origin: Array, tangent: Array, phase: Array, across: int, along: int) -> Profiles:
-    """Profiles of the trace along straight lines on the board, of all facets that the exposure sees.
-
-    Parameters as in `cuts`, with ``phase`` (m,). Where facets lean differently, the light's mean position and flux are
-    worked out at the mean lean and as far as the farthest facets on either side, and interpolated by a parabola.
-    """
-    nodes = cuts(bench, origin, tangent, phase[:, None, None], across, along)
-    return mixed(bench, nodes, origin, tangent, across)
-
-
 def mixed(
     bench: Bench,
     nodes: Profiles,

@@ -15,7 +15,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image as Pillow
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
@@ -28,8 +27,6 @@ from benchsim.renderer.irradiance import ScreenMap, irradiance
 from benchsim.renderer.picture import Picture, Pose, photograph
 from benchsim.renderer.recording import draw_cameras, draw_errors, draw_laser, draw_pose
 from benchsim.renderer.sensor import RED_LASER, Counts, Image, Signals, develop, signals, speckle
-
-Array = NDArray[np.float64]
 
 EPOCH = datetime(2026, 5, 4, 9, 0, 0)
 """When the first picture of the bench is taken, if its ``time_s`` is 0."""

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import write
@@ -20,8 +19,6 @@ from benchsim.renderer.irradiance import ScreenMap, irradiance
 from benchsim.renderer.motion import TIMED
 from benchsim.renderer.picture import Pose, photograph
 from benchsim.renderer.sensor import expose, signals, write_image
-
-Array = NDArray[np.float64]
 
 POSE_POSITION = 2.0
 """1 sigma of the camera's position about its nominal one in every exposure, along each axis [mm]. The pose is solved

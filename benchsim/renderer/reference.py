@@ -84,7 +84,7 @@ def _laser(recording: Recording, placement: Placement) -> str:
   </emitter>"""
 
 
-def _sensor(camera: Camera, samples: int) -> str:
+def _sensor(camera: Camera) -> str:
     rotation, t = camera_pose(camera)
     # Mitsuba's camera has x to the left, y up, z forward.
     frame = (np.diag([-1.0, -1.0, 1.0]) @ rotation).T
@@ -99,7 +99,7 @@ def _sensor(camera: Camera, samples: int) -> str:
     <float name="principal_point_offset_y" value="{cy + 0.0:.12g}"/>
     <float name="near_clip" value="10"/>
     <float name="far_clip" value="100000"/>
-    <sampler type="independent"><integer name="sample_count" value="{samples}"/></sampler>
+    <sampler type="independent"><integer name="sample_count" value="64"/></sampler>
     <film type="hdrfilm">
       <integer name="width" value="{width}"/>
       <integer name="height" value="{height}"/>
@@ -120,9 +120,7 @@ def _board(recording: Recording, placement: Placement) -> str:
   </shape>"""
 
 
-def scene_xml(
-    recording: Recording, exposure: Exposure, *, placement: Placement | None = None, samples: int = 64
-) -> str:
+def scene_xml(recording: Recording, exposure: Exposure) -> str:
     """One exposure of a bench as a Mitsuba scene file.
 
     The picture is the board's radiance per unit of laser power [1/(mm² sr)], averaged over one revolution, in the dark
@@ -132,10 +130,6 @@ def scene_xml(
     ----------
     recording : Recording
     exposure : Exposure
-    placement : Placement, optional
-        Default the stated setting.
-    samples : int
-        Rays of light per pixel of the film.
 
     Returns
     -------
@@ -150,7 +144,7 @@ def scene_xml(
     mirror = recording.mirror
     if mirror.shape != "polygon" or not recording.physics.facets or not recording.physics.beam:
         raise BenchsimError(f"{recording.path}: a Mitsuba scene needs a polygon, facets = true and beam = true")
-    where = placement or place(mirror, exposure)
+    where = place(mirror, exposure)
     for name in (*recording.effects, *recording.fields):
         if name not in DRAWN:
             raise BenchsimError(f"{recording.path}: {name} is not drawn as a Mitsuba scene; take it out of the file")
@@ -178,7 +172,7 @@ def scene_xml(
     <float name="weight" value="{weight:.12g}"/>
 {facets}
   </integrator>
-{_sensor(recording.cameras[exposure.camera], samples)}
+{_sensor(recording.cameras[exposure.camera])}
 {_laser(recording, where)}
 {_board(recording, where)}
 </scene>

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +13,6 @@ from benchsim.renderer.picture import Picture, photograph
 from benchsim.renderer.surface import AS_A_WHOLE
 
 Array = NDArray[np.float64]
-Effects = Mapping[str, Mapping[str, float]]
-
 REACH = 2.5
 """Radius of the beam's section, in 1/e² radii, within which its shape is followed; 4e-6 of the power lies beyond."""
 

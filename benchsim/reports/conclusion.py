@@ -126,31 +126,3 @@ def gathered(remarks: Sequence[str]) -> list[str]:
         cause = "a fault of the board would show in every one of three or more photographs"
         out.insert(at, f"{start} neighbours, taken as mismeasured ({cause}) and left out: {where}.")
     return out
-
-
-def contradictions(d: Json) -> list[str]:
-    """Statements of a diagnosis that cannot all hold, in sentences; empty where there is none."""
-    out = []
-    found = {f["name"]: f["confidence"] for f in d["effects"]}
-    members = {n for c in d["classes"] for m in c["members"] for n in m}
-    verdict, names = d["verdict"], [f["name"] for f in d["effects"]]
-    if verdict == "nothing-missing" and (found or d["classes"]):
-        out.append("nothing is missing, and something was found")
-    if verdict == "nothing-missing" and d["probability"].get(SETTINGS, 0.0) >= 0.05:
-        out.append("nothing is missing, and the settings are further off than stated")
-    if verdict == "named" and not found:
-        out.append("named, and nothing has a name")
-    if verdict in ("named", "nothing-missing") and d["classes"]:
-        out.append(f"{verdict}, and alternatives are open")
-    if verdict == "class" and not d["classes"]:
-        out.append("alternatives are open, and there are none")
-    if verdict == "located" and not (d["location"] or {}).get("claimed"):
-        out.append("located, and no place is claimed")
-    out += [f"{n} is in a class and said for itself" for n in members & set(found)]
-    out += [f"{n} is said twice" for n in set(names) if names.count(n) > 1]
-    out += [f"{n} was found and its limit is stated" for n in d["limits"] if n.split(".")[0] in {*found}]
-    text = " ".join([headline(d), leftover(d), *d["notes"], *(f["says"] for f in d["effects"])])
-    out += [f"'{word}' in a sentence" for word in (" nan", " inf", "-inf") if word in f" {text}"]
-    suspected = [n.split(" is suspected")[0] for n in d["notes"] if " is suspected" in n]
-    out += [f"{n} is suspected and was found" for n in suspected if n in found]
-    return out

@@ -13,7 +13,7 @@ from scipy import stats
 
 Array = NDArray[np.float64]
 
-BLUE, RED, GREY = "#1f78b4", "#d7301f", "#5f6368"
+BLUE, GREY = "#1f78b4", "#5f6368"
 
 
 def plan(position: Array, cluster: Array, sigma: Array, points: Sequence[Array]) -> Figure:

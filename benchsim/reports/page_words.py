@@ -29,9 +29,6 @@ Json = Mapping[str, Any]
 ELEMENTS = ("source", "mirror", "air", "screen", "camera", "time", "settings")
 """In the order of the light; others follow in the order in which they come."""
 
-PRIOR, PROBABLE, NAMED = 0.02, 0.9, 0.99
-"""Probability of an effect before the data, and the thresholds of the two words."""
-
 
 def diagnosis(d: Json, extra: Json) -> dict[str, Any]:
     """What the page says of a diagnosis, by the place where it says it.

@@ -144,7 +144,6 @@ class CoarseCurve:
 
     points: Array
     strength: float
-    inliers: int
 
 
 def best_curve(points: RidgePoints, seed: int = 0) -> CoarseCurve | None:
@@ -233,4 +232,4 @@ def _refined(points: RidgePoints, members: Mask, tolerance: float) -> CoarseCurv
     keep = members & (x >= run[0]) & (x <= run[-1])
     grid = np.arange(run[0], run[-1] + 1.0)
     line = centre + np.outer(grid, axis) + np.outer(curve(grid), [-axis[1], axis[0]])
-    return CoarseCurve(line, float(strength[keep].sum()), int(keep.sum()))
+    return CoarseCurve(line, float(strength[keep].sum()))

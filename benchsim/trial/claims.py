@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-Case = Mapping[str, Any]
-"""A case in the form of ``score.json``: ``truth`` and ``verdict`` in plain values."""
-
 
 def allowed(named: list[str], classes: list[list[list[str]]]) -> list[set[str]]:
     """Every set of effects that a diagnosis allows: its effects plus one member of each class."""

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchsim.bench.fields import Field, field
 from benchsim.bench.files import shipped
@@ -20,8 +19,6 @@ from benchsim.diagnosis.evidence import amplitudes
 from benchsim.diagnosis.linear import predict_all, whiten
 from benchsim.diagnosis.problem import Effect
 from benchsim.trial.visibility import Sight
-
-Array = NDArray[np.float64]
 
 STRANGERS = ("dent", "ripple", "spot", "stage", "jump", "facets")
 """Causes that no catalogue holds, and the element where each sits."""

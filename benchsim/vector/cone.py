@@ -97,16 +97,6 @@ def section(cone: Cone, rotation: ArrayLike | None = None, origin: ArrayLike | N
     return conic.normalise(conic.from_matrix(np.outer(along, along) - cone.cosine**2 * h.T @ h))
 
 
-def real_branch(
-    cone: Cone, points: ArrayLike, rotation: ArrayLike | None = None, origin: ArrayLike | None = None
-) -> NDArray[np.bool_]:
-    """Which points (..., 2) of the section lie on the nappe of the real rays; the others carry virtual rays only."""
-    rows = np.eye(3) if rotation is None else np.asarray(rotation, float)
-    p = np.asarray(points, float)
-    x = p @ rows[:, 1:].T + (np.zeros(3) if origin is None else np.asarray(origin, float)) - cone.apex
-    return np.asarray((x @ cone.axis) * cone.cosine > 0)
-
-
 @dataclass(frozen=True)
 class TraceConic:
     """The exact conic of one exposure and how its real branch bends. Board coordinates, mm.
@@ -134,11 +124,6 @@ class TraceConic:
     curvature_centre: Array
     focus: Array
     focus_side: str
-
-    @property
-    def curvature_radius(self) -> float:
-        """Radius of curvature at ``point`` [mm]."""
-        return float(np.linalg.norm(self.curvature_centre - self.point))
 
 
 def trace_conic(mirror: Mirror, exposure: Exposure, placement: Placement | None = None) -> TraceConic:

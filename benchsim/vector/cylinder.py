@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.place import Placement, ideal_normal, rotation_axis
+from benchsim.bench.place import Placement, rotation_axis
 
 Array = NDArray[np.float64]
 
@@ -69,27 +69,6 @@ class Cylinder:
     def radius(self) -> float:
         """Radius of the cylinder that the mirror's planes envelope, n · (P − pivot) [mm] (if n ⟂ axis)."""
         return float(self.normal @ (self.point - self.pivot))
-
-
-def first_normal(centre: ArrayLike, source: ArrayLike) -> Array:
-    """First approximation of n(0,0), which neglects r (Carretero 2019, Eqs (16) and (18)).
-
-    It bisects at C in place of P. In Figs 7a/7b that turns the normal by 1.9/1.5 mrad and moves the trace by 8/7 mm:
-    use :func:`benchsim.bench.place.ideal_normal`, Eq. (17) to convergence, for anything but showing that error.
-
-    Parameters
-    ----------
-    centre : (3,) array
-        C [mm].
-    source : (3,) array
-        S, unit, toward the source. The paper's sum has the sign of its I = S; with the direction of travel I = −S it
-        reads λ n = S − C/|C|.
-
-    Returns
-    -------
-    (3,) ndarray
-    """
-    return ideal_normal(np.asarray(centre, float), np.asarray(source, float), 0.0)
 
 
 def _turn(vectors: Array, axis: Array, phases: ArrayLike) -> Array:

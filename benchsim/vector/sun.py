@@ -18,11 +18,6 @@ from benchsim.bench.errors import BenchsimError
 Array = NDArray[np.float64]
 
 
-def turn_x(angle: float) -> Array:
-    """T_x, right-handed turn about x by ``angle`` [rad], (3, 3) (Carretero 2019, Eq. (3))."""
-    return Rotation.from_euler("x", angle).as_matrix()
-
-
 def turn_y(angle: float) -> Array:
     """T_y, right-handed turn about y by ``angle`` [rad], (3, 3) (Carretero 2019, Eq. (4))."""
     return Rotation.from_euler("y", angle).as_matrix()

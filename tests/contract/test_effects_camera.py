@@ -10,7 +10,8 @@ from holding import bench
 
 from benchsim.bench.place import camera_pose, place
 from benchsim.instruments.bench.board_coordinates import measured, view_of_all
-from benchsim.rays import project_board, see
+from benchsim.rays import screen, see
+from benchsim.rays.camera import project as seen_by
 from benchsim.trace.pose import Pose
 
 
@@ -44,7 +45,7 @@ def test_camera(camera):
     assert np.abs(seen({}) - flat(camera)).max() < 1e-9
     exposure = replace(bench("a").exposures[0], screen_shift=50.0, screen_roll=0.7)
     board = raised(GRID) @ turn([0.7, 0.0, 0.0]).T + [50.0, 0.0, 0.0]
-    pixels = project_board(camera, rotation, translation, place(bench("a").mirror, exposure), GRID)
+    pixels = seen_by(camera, rotation, translation, screen.to_world(place(bench("a").mirror, exposure), GRID))
     assert np.abs(pixels - project(camera, rotation, translation, board)).max() < 1e-6
 
 

@@ -24,7 +24,7 @@ def test_chance_gives_the_stated_rate():
     families = remainder.modes(problem, linear, problem.covariance)
     many = [remainder.remainder(replace(linear, residual=r), families, 1.0) for r in draws(problem, linear, 300, 1)]
     # Every family is a χ² of its rank: Kolmogorov-Smirnov at 0.1 % each.
-    for name in families.families:
+    for name in families:
         p = [chi2.sf(m.families[name].statistic, m.families[name].rank) for m in many]
         assert kstest(p, "uniform").pvalue > 1e-3, name
     # 1 % stated, Bonferroni makes it a little less: 9 or more of 300 happen once in 250 times at 1 %.
@@ -53,7 +53,7 @@ def test_noise_that_was_estimated_from_little_excuses_more():
     families = remainder.modes(problem, linear, problem.covariance)
     r = next(draws(problem, linear, 1, 3))
     known = remainder.remainder(replace(linear, residual=1.8 * r), families, 1.0)
-    little = remainder.remainder(replace(linear, residual=1.8 * r), families, 1.0, dict.fromkeys(families.families, 12))
-    much = remainder.remainder(replace(linear, residual=1.8 * r), families, 1.0, dict.fromkeys(families.families, 1e9))
+    little = remainder.remainder(replace(linear, residual=1.8 * r), families, 1.0, dict.fromkeys(families, 12))
+    much = remainder.remainder(replace(linear, residual=1.8 * r), families, 1.0, dict.fromkeys(families, 1e9))
     assert little.p > known.p
     assert np.isclose(much.p, known.p, rtol=1e-4)

@@ -27,7 +27,7 @@ def laid(log_evidence):
 
 
 def findings(log_evidence=50.0, free=(10.0,), more=(48.0,), classes=(), further=(), named=True, **also):
-    claim = Claim(("bow",), () if classes else ("bow",), classes, 9.0) if named else None
+    claim = Claim(("bow",), () if classes else ("bow",), classes) if named else None
     return Findings(
         0.0,
         claim,

@@ -7,7 +7,7 @@ import pytest
 
 from benchsim.bench.model import Camera, Exposure, Laser, Mirror
 from benchsim.bench.place import camera_pose, place
-from benchsim.rays import board_points, laser, mirror, pixel_rays, project, project_board, screen
+from benchsim.rays import board_points, laser, mirror, pixel_rays, project, screen
 
 EXPOSURE = Exposure("A", "s", np.radians(101.0), np.radians(50.0), (1500.0, -160.0, -1430.0), 80.0, np.radians(30.0))
 
@@ -42,11 +42,11 @@ def test_flat_mirror_mirrors_the_source():
     """A homocentric beam off a flat facet seems to come from the mirrored virtual source: all lines pass through it."""
     m = Mirror()
     p = place(m, EXPOSURE)
-    curvature = Laser().curvature
+    beam = laser.Beam(p.laser_point, p.laser_direction, Laser().waist, Laser().curvature)
     t, h = np.meshgrid(np.linspace(-4, 4, 5), np.linspace(-1, 1, 3))
     x, n, _ = mirror.surface(p, m.radius, 0.0, np.array(0.07), 0.0, t, h)
-    out = mirror.reflect(laser.direction(curvature, p.laser_point, p.laser_direction, x), n)
-    virtual = p.laser_point - p.laser_direction / curvature
+    out = mirror.reflect(beam.light(x)[0], n)
+    virtual = p.laser_point - p.laser_direction / beam.curvature
     image = virtual - 2 * ((virtual - p.centre) @ n - m.radius) * n
     assert np.abs(np.cross(x - image, out)).max() < 1e-9 * np.linalg.norm(x - image, axis=-1).max()
 
@@ -95,7 +95,7 @@ def test_pixels_return_to_the_board():
     rotation, translation = camera_pose(CAMERA)
     p = place(Mirror(), EXPOSURE)
     board = np.random.default_rng(0).uniform(-350, 350, (50, 2))
-    pixels = project_board(CAMERA, rotation, translation, p, board)
+    pixels = project(CAMERA, rotation, translation, screen.to_world(p, board))
     np.testing.assert_allclose(board_points(CAMERA, rotation, translation, p, pixels), board, atol=1e-7)
     origin, rays = pixel_rays(CAMERA, rotation, translation, pixels)
     np.testing.assert_allclose(origin, CAMERA.position, atol=1e-9)

@@ -21,7 +21,7 @@ from benchsim.bench.model import (
 )
 from benchsim.bench.place import SettingErrors, camera_pose, place
 from benchsim.bench.settings import prior_sigma, to_vector
-from benchsim.rays import predict, project_board
+from benchsim.rays import predict, project, screen
 from benchsim.renderer import recording as module
 from benchsim.renderer.irradiance import irradiance
 from benchsim.renderer.recording import (
@@ -164,7 +164,7 @@ def test_the_line_lies_where_the_ray_model_puts_it(rendered):
     for i, e in enumerate(truth.recording.exposures):
         camera = truth.cameras[e.camera]
         curve = predict(replace(truth.recording, laser=truth.laser), e, truth.errors[i])
-        seen = project_board(camera, *truth.poses[i], truth.placements[i], curve.points)
+        seen = project(camera, *truth.poses[i], screen.to_world(truth.placements[i], curve.points))
         order = np.argsort(seen[:, 1])
         image, dark = (cv2.imread(str(folder / n), cv2.IMREAD_UNCHANGED).astype(float) for n in (e.image, e.dark))
         light = image - dark

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchsim.reports.conclusion import contradictions, headline, leftover
+from benchsim.reports.conclusion import headline, leftover
 
 KEPT = sorted((Path(__file__).parents[2] / "analysis" / "trial" / "kept" / "verdicts").glob("*/diagnosis.json"))
 
@@ -80,7 +80,6 @@ SAID = [
 @pytest.mark.parametrize(("d", "said"), SAID, ids=[d["verdict"] for d, _ in SAID])
 def test_the_headline_says_what_was_found_and_what_is_left(d, said):
     assert headline(d) == said
-    assert contradictions(d) == []
 
 
 def test_what_is_left_comes_with_its_size():
@@ -98,28 +97,8 @@ def test_what_is_left_comes_with_its_size():
     assert leftover(diagnosis("named", [BOW])) == ""
 
 
-@pytest.mark.parametrize(
-    "d",
-    [
-        diagnosis("nothing-missing", [BOW]),
-        diagnosis("nothing-missing", probability={"setting-errors": 0.3}),
-        diagnosis("named"),
-        diagnosis("class"),
-        diagnosis("named", [BOW], [[["coma"], ["astigmatism"]]]),
-        diagnosis("class", [BOW], [[["screen-bow"], ["coma"]]]),
-        diagnosis("located", location={"element": "camera", "claimed": False}),
-        diagnosis("named", [BOW], limits={"screen-bow": {}}),
-        diagnosis("named", [BOW], notes=["screen-bow is suspected, at a probability of 0.60."]),
-        diagnosis("named", [BOW], notes=["a margin of -inf"]),
-    ],
-)
-def test_a_contradiction_is_one(d):
-    assert contradictions(d)
-
-
 @pytest.mark.parametrize("path", KEPT, ids=[p.parent.name for p in KEPT])
-def test_no_case_of_the_published_trial_contradicts_itself(path):
+def test_every_case_of_the_published_trial_has_a_headline(path):
     """The kept verdicts of 150 concealed cases, told again by today's sentences."""
     d = json.loads(path.read_text())
-    assert [c for c in contradictions(d) if "further off" not in c] == []
     assert "nan" not in headline(d) and headline(d)[-1] == "."

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchsim.bench.fields import FORMS, Field, evaluate, field
 from benchsim.bench.model import Recording
@@ -17,8 +16,6 @@ from benchsim.diagnosis import settings
 from benchsim.diagnosis.result import Diagnosis, Law, chosen
 from benchsim.instruments.bench.candidates import simulated
 from benchsim.instruments.bench.effects import PHYSICS_OF, SIZE, Term, terms
-
-Array = NDArray[np.float64]
 
 
 def amended(recording: Recording, d: Diagnosis, against: str = "bench") -> Recording:

@@ -29,8 +29,6 @@ from benchsim.trace.side_lines import CELLS, REACH, Across, Comb, comb, one_line
 from benchsim.trace.table import Trace
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 SINGLE = 1.5
 """χ² per bin beyond which a single line does not explain a stretch; lines of every kind of bench stay below 0.7, for
 the error that its shape is granted is generous."""

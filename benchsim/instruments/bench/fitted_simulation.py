@@ -135,9 +135,7 @@ def probable(
     return values
 
 
-def left_out(
-    problem: Problem, effects: Sequence[str], at: Values, setting_scale: float = 1.0
-) -> list[dict[str, float]]:
+def left_out(problem: Problem, effects: Sequence[str], at: Values) -> list[dict[str, float]]:
     """Values for every block, the amplitudes of given effects fitted to the other settings alone.
 
     Beam and blur, which settings share, come from the other settings too; what belongs to the block's own setting is
@@ -150,8 +148,6 @@ def left_out(
         Names; () gives the simulation in doubt.
     at : mapping
         Where to begin; values of other effects are kept.
-    setting_scale : float
-        As in `probable`.
 
     Returns
     -------
@@ -163,9 +159,9 @@ def left_out(
     for group in dict.fromkeys(problem.groups):
         test = [b for b, g in enumerate(problem.groups) if g == group]
         train = [b for b, g in enumerate(problem.groups) if g != group]
-        values = probable(problem, [*problem.nuisances, *own], at, train, setting_scale) if train else dict(at)
+        values = probable(problem, [*problem.nuisances, *own], at, train) if train else dict(at)
         rest = [p for p in problem.nuisances if p.blocks is not None and set(p.blocks) <= set(test)]
-        values = probable(problem, rest, values, test, setting_scale)
+        values = probable(problem, rest, values, test)
         for b in test:
             out[b] = values
     return out

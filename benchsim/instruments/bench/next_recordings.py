@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from benchsim.bench.errors import BenchsimError
@@ -26,8 +25,6 @@ from benchsim.diagnosis import linear
 from benchsim.diagnosis.problem import Effect, NextRecording, Problem
 from benchsim.instruments.bench.facet_lines import as_parted
 from benchsim.instruments.bench.observed import Observed
-
-Array = NDArray[np.float64]
 
 LATER = 2 * 3600.0
 """Time after the last exposure at which a setting is repeated [s]."""

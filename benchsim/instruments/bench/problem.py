@@ -164,8 +164,8 @@ def nuisances(recording: Recording, predict: Predict) -> tuple[Parameter, ...]:
     return tuple(out.values())
 
 
-def draw(problem: Problem, values: Values, rng: np.random.Generator, scale: float = 1.0) -> Problem:
-    """The same problem with data of another truth, and noise by its covariance times scale².
+def draw(problem: Problem, values: Values, rng: np.random.Generator) -> Problem:
+    """The same problem with data of another truth, and noise by its covariance.
 
     Parameters
     ----------
@@ -173,14 +173,12 @@ def draw(problem: Problem, values: Values, rng: np.random.Generator, scale: floa
     values : mapping
         The truth: nuisances and effects.
     rng : numpy Generator
-    scale : float
-        Of the noise's sigma; 0: none.
     """
     data = np.empty_like(problem.data)
     for b, covariance in enumerate(problem.covariance):
         rows = problem.rows(b)
         noise = np.linalg.cholesky(covariance) @ rng.standard_normal(len(covariance))
-        data[rows] = problem.predict(values, b) + scale * noise
+        data[rows] = problem.predict(values, b) + noise
     return replace(problem, data=data)
 
 

@@ -30,14 +30,14 @@ from benchsim.trace.pose import Pose
 Array = NDArray[np.float64]
 
 
+TYPICAL = (0.006, 0.004, 0.004, 0.012, 0.7)
+"""Noise of photographs of 3 MP: sigma of one of 64 bins of the centre line [mm]; of one of 24 bins of width, as a
+fraction, and of the logarithm of the flux; of a corner of a mark, each coordinate [px]; blur, the pixel in it [px]."""
+
+
 def simulate(
     recording: Recording,
     *,
-    centre_sigma: float = 0.006,
-    width_fraction: float = 0.004,
-    flux_sigma: float = 0.004,
-    corner_sigma: float = 0.012,
-    blur: float = 0.7,
     seed: int | None = None,
 ) -> tuple[Observed, ...]:
     """Data of a recording without photographs: the stated bench as its cameras would see it.
@@ -49,14 +49,6 @@ def simulate(
     Parameters
     ----------
     recording : Recording
-    centre_sigma : float
-        Of one of 64 bins of the centre line [mm]; photographs of 3 MP give 0.005 to 0.008.
-    width_fraction, flux_sigma : float
-        Of one of 24 bins of width (as a fraction) and of the logarithm of the flux.
-    corner_sigma : float
-        Of a corner of a mark, each coordinate [px].
-    blur : float
-        Of the camera [px], the pixel's width included.
     seed : int, optional
         Draw the camera's poses 5 mm and 2 mrad about their nominal ones.
 
@@ -70,30 +62,22 @@ def simulate(
         If a trace misses the board, or the recording lists no marks.
     """
     rng = np.random.default_rng(seed)
-    noise = (centre_sigma, width_fraction, flux_sigma, corner_sigma, blur)
-    return tuple(
-        simulate_one(recording, i, noise, None if seed is None else rng) for i in range(len(recording.exposures))
-    )
-
-
-TYPICAL = (0.006, 0.004, 0.004, 0.012, 0.7)
-"""Noise of `simulate` unless told: photographs of 3 MP."""
+    return tuple(simulate_one(recording, i, None if seed is None else rng) for i in range(len(recording.exposures)))
 
 
 def simulate_one(
     recording: Recording,
     index: int,
-    noise: tuple[float, float, float, float, float] = TYPICAL,
     rng: np.random.Generator | None = None,
 ) -> Observed:
-    """Data of one exposure; ``noise`` in the order of `simulate`'s arguments, ``rng`` draws the camera's pose."""
+    """Data of one exposure; ``rng`` draws the camera's pose."""
     exposure = recording.exposures[index]
     curve = rays.predict(nominal(recording), exposure)
     rotation, translation = _nominal_pose(recording, exposure)
     if rng is not None:
         delta = np.concatenate([2e-3 * rng.standard_normal(3), 5.0 * rng.standard_normal(3)])
         rotation, translation = turned(rotation, translation, delta)
-    return _simulated(recording, index, curve, (rotation, translation), noise)
+    return _simulated(recording, index, curve, (rotation, translation))
 
 
 def _nominal_pose(recording: Recording, exposure: Exposure) -> tuple[Array, Array]:
@@ -107,11 +91,10 @@ def _simulated(
     index: int,
     curve: Curve,
     pose: tuple[Array, Array],
-    noise: tuple[float, float, float, float, float],
 ) -> Observed:
     exposure = recording.exposures[index]
     camera = recording.cameras[exposure.camera]
-    centre_sigma, width_fraction, flux_sigma, corner_sigma, blur = noise
+    centre_sigma, width_fraction, flux_sigma, corner_sigma, blur = TYPICAL
     marks = recording.screen.marks
     if marks is None or not marks.ids:
         raise BenchsimError(f"{recording.path.name}: the recording lists no marks; add screen.marks")

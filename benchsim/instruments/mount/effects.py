@@ -12,8 +12,6 @@ import numpy as np
 from benchsim.diagnosis.problem import Effect, Parameter
 from benchsim.instruments.mount.records import Mount, Records
 
-ELEMENTS = ("mount", "target", "sky", "time", "data")
-
 ANGLE = "angle"
 """Stands for the mount's own unit."""
 

@@ -122,14 +122,14 @@ def build(session: Session, *, attached: bool = True, catalogue: Sequence[Effect
     return _finish(replace(session, mount=mount), known, judged, attached)
 
 
-def again(built: Built, values: dict[str, float], *, attached: bool = True) -> Built | None:
+def again(built: Built, values: dict[str, float]) -> Built | None:
     """Judge the records anew about a fit that was found; None where the same ones are set aside."""
     session, catalogue = built.session, list(built.problem.catalogue)
     judged = look(built.problem, values, everything=built.sigma)
     whole = len(session.records.names) + len(built.aside)
     if not judged.aside or len(judged.aside) + len(built.aside) > MOST * whole:
         return None
-    more = _finish(session, catalogue, judged, attached)
+    more = _finish(session, catalogue, judged, True)
     return replace(more, aside=(*built.aside, *more.aside), remarks=(*built.remarks, *more.remarks))
 
 
