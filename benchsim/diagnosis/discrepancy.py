@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dsytrd
-from scipy.special import logsumexp
 
 from benchsim.diagnosis.evidence import PRESENCE
 from benchsim.diagnosis.functions import Prepared, products
@@ -133,7 +132,7 @@ class _Ground:
     def log_evidence(self) -> float:
         """With the noise as it was estimated."""
         whole = (self.weight == 1.0).all(axis=1)
-        return float(logsumexp(self.known[whole]) + np.log(len(whole) / whole.sum())) + self.offset
+        return float(np.logaddexp.reduce(self.known[whole]) + np.log(len(whole) / whole.sum())) + self.offset
 
 
 def _ground(
@@ -264,7 +263,7 @@ def checked(problem: Problem, naming: Naming, laid: Attached, function: Array, o
 
 def weighed_with(fit: Fit, laid: Attached) -> Fit:
     """A hypothesis with the evidence, at every setting scale too, that it has with a function on it."""
-    scales = laid.log_scales - logsumexp(laid.log_scales) + laid.log_evidence
+    scales = laid.log_scales - np.logaddexp.reduce(laid.log_scales) + laid.log_evidence
     return replace(fit, log_evidence=laid.log_evidence, log_scales=scales, setting_scale=laid.scale)
 
 
@@ -320,13 +319,13 @@ def _one(problem: Problem, prepared: Prepared, ground: _Ground) -> Attached:
         projections.extend(seen(white, ground.residual) - (turned @ ground.half[:, :, None])[:, :, 0])
     known = np.tile(ground.known, len(prepared.roots))
     cells = known[:, None] + _gains(grams, projections, rms) + log_prior
-    total = float(logsumexp(cells)) + ground.offset if any(r.shape[1] for r in prepared.roots) else -np.inf
+    each = np.logaddexp.reduce(cells.reshape(len(prepared.roots), len(np.unique(ground.scale)), -1), axis=(0, 2))
+    total = float(np.logaddexp.reduce(each)) + ground.offset if any(r.shape[1] for r in prepared.roots) else -np.inf
     i, k = np.unravel_index(np.argmax(cells), cells.shape)
     of, j = divmod(int(i), len(ground.scale))
     root = prepared.roots[of]
     mean = np.linalg.solve(np.eye(root.shape[1]) / rms[k] ** 2 + grams[i], projections[i])
     length, scale = attachment.lengths[of], float(ground.scale[j])
-    each = logsumexp(cells.reshape(len(prepared.roots), len(np.unique(ground.scale)), -1), axis=(0, 2))
     return Attached(attachment, total, each, float(rms[k]), length, scale, root @ mean, root * rms[k], ground.plain)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfcx, logsumexp
+from scipy.special import erfcx
 
 from benchsim.diagnosis import evidence, settings
 from benchsim.diagnosis.hypothesis import Context, Effects, Fit, Hypothesis, Point, Solved, span, values
@@ -124,7 +124,7 @@ def fitted(
     racing = [r for r in runs if r.start.race is not None]
     _advance(context, racing, 0, HEAT)
     ahead: dict[tuple[Effects, int | None], _Run] = {}
-    for r in sorted(racing, key=lambda r: logsumexp(r.cells)):
+    for r in sorted(racing, key=lambda r: np.logaddexp.reduce(r.cells, axis=None)):
         ahead[r.start.hypothesis.names, r.start.race] = r
     runs = [r for r in runs if r.start.race is None or r is ahead[r.start.hypothesis.names, r.start.race]]
     moved = [r for r in runs if r.end is None or ((r.moved or not r.end.converged) and _hope(r, log_prior) > floor)]
@@ -149,7 +149,7 @@ class _Run:
 
 def _hope(run: _Run, log_prior: Mapping[Effects, float]) -> float:
     """ln Z that the derivatives where a fit is promise of it."""
-    return float(logsumexp(run.cells)) + log_prior[run.start.hypothesis.names]
+    return float(np.logaddexp.reduce(run.cells, axis=None)) + log_prior[run.start.hypothesis.names]
 
 
 def _advance(context: Context, runs: Sequence[_Run], renewals: int, steps: int) -> None:
@@ -300,7 +300,7 @@ def _held(context: Context, h: Hypothesis, end: Solution) -> tuple[Array, float]
 
 def _choose(cells: Array) -> tuple[int, int]:
     """Most probable setting scale, and term there."""
-    scale = int(np.argmax(logsumexp(cells, axis=1)))
+    scale = int(np.argmax(np.logaddexp.reduce(cells, axis=1)))
     return scale, int(np.argmax(cells[scale]))
 
 
@@ -339,7 +339,7 @@ def _solved(context: Context, run: _Run, log_prior: float) -> Solved:
     offset = log_prior - (0.0 if end.exact else end.promise)
     done = Fit(
         h.names,
-        float(logsumexp(cells)) + offset,
+        float(np.logaddexp.reduce(cells, axis=None)) + offset,
         at,
         sigma,
         own_covariance,
@@ -349,7 +349,7 @@ def _solved(context: Context, run: _Run, log_prior: float) -> Solved:
         # where the least tilt puts a window into the light, what comes after: the evidence counts it as had.
         end.converged or (end.exact and (end.promise < MARGIN or not h.names)),
         lin,
-        np.asarray(logsumexp(cells, axis=1)) + offset,
+        np.asarray(np.logaddexp.reduce(cells, axis=1)) + offset,
     )
     return Solved(done, point, -end.jacobian, end.residual, end.cost, end.exact)
 
@@ -362,7 +362,7 @@ def _posterior(context: Context, h: Hypothesis, lin: Linear, columns: Array, cel
     p, k = lin.nuisance.shape[1], len(h.amplitudes)
     if not np.isfinite(cells).any():
         return np.eye(both.shape[1])
-    weights = np.exp(cells - logsumexp(cells))
+    weights = np.exp(cells - np.logaddexp.reduce(cells, axis=None))
     means, covariances, kept = [], [], []
     for i, j in zip(*np.nonzero(weights > 1e-3), strict=True):
         precision, slopes = _prior(context, h, (int(i), int(j)))

@@ -273,10 +273,11 @@ def _some(parameters: Sequence[Parameter]) -> NDArray[np.bool_]:
 def _solved(target: Array, columns: Array, parameters: Sequence[Parameter], use: NDArray[np.bool_]) -> Array:
     """Where the sum is least, of residuals target − columns x, for every choice of data (s, n); (s, k)."""
     some, x, weight = _some(parameters), np.zeros((len(use), columns.shape[1])), use.astype(float)
+    number = np.arange(len(some))
     for _ in range(ROUNDS):
         weighted = columns.T * weight[:, None, :]
-        prior = np.where(some, (1 + x**2) ** -0.5, 1.0)
-        gram = weighted @ columns + prior[:, :, None] * np.eye(len(some))
+        gram = weighted @ columns
+        gram[:, number, number] += np.where(some, (1 + x**2) ** -0.5, 1.0)
         before, x = x, np.linalg.solve(gram, (weighted @ target)[:, :, None])[:, :, 0]
         weight = use * (1 + (target - x @ columns.T) ** 2) ** -0.5
         if np.abs(x - before).max(initial=0.0) < MOVED:

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 Array = NDArray[np.float64]
 Points = Sequence[tuple[int, Array]]
@@ -238,13 +238,11 @@ def bounded(hessian: Array, force: Array, low: Array, high: Array) -> Array:
     step = np.zeros(len(force))
     free = ~(((low >= 0) & (force < 0)) | ((high <= 0) & (force > 0)))
     while free.any():
-        rest = force[free] - hessian[np.ix_(free, ~free)] @ step[~free]
-        own = hessian[np.ix_(free, free)]
+        rest, own = (force - hessian @ np.where(free, 0.0, step))[free], hessian[free][:, free]
         # Far from any fit rounding can outweigh a direction's own curvature.
-        own = own + 1e-14 * np.diag(np.diag(own)) + 1e-300 * np.eye(len(own))
-        try:
-            step[free] = cho_solve(cho_factor(own, check_finite=False), rest, check_finite=False)
-        except LinAlgError:
+        own.flat[:: len(own) + 1] += 1e-14 * own.diagonal() + 1e-300
+        _, step[free], failed = dposv(own, rest)
+        if failed:
             step[free] = np.linalg.lstsq(own, rest, rcond=None)[0]
         beyond = np.maximum(low - step, step - high)
         beyond[~free] = 0.0

@@ -16,7 +16,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrs
 
 from benchsim.diagnosis.problem import Parameter, Problem, Values
 
@@ -93,7 +94,7 @@ class Marginal:
 def factors(covariance: Sequence[Array]) -> tuple[Array, ...]:
     """Cholesky factors L of the blocks' covariances."""
     if _alike(covariance):
-        return tuple(np.linalg.cholesky(np.stack(covariance)))
+        return tuple(np.linalg.cholesky(np.array(covariance)))
     return tuple(np.asarray(np.linalg.cholesky(c), float) for c in covariance)
 
 
@@ -102,7 +103,7 @@ def lowered(lower: Sequence[Array], columns: Array) -> Array:
     if _alike(lower):
         # One call for all: a triangular solution of two rows costs hundreds of times its arithmetic.
         flat = columns.reshape(len(lower), len(lower[0]), -1)
-        return np.asarray(np.linalg.solve(np.stack(lower), flat)).reshape(columns.shape)
+        return np.asarray(np.linalg.solve(np.array(lower), flat)).reshape(columns.shape)
     out: Array = np.zeros(columns.shape)
     whole, solved = (a if a.ndim == 2 else a[:, None] for a in (columns, out))
     first = 0
@@ -117,18 +118,25 @@ def lowered(lower: Sequence[Array], columns: Array) -> Array:
 
 def raised(lower: Sequence[Array], white: Array) -> Array:
     """L white, block after block: what was whitened, in the data's units; ``white`` is (n,) or (n, k)."""
+    if _alike(lower):
+        return np.asarray(np.array(lower) @ white.reshape(len(lower), len(lower[0]), -1)).reshape(white.shape)
     parts = np.split(white, np.cumsum([len(low) for low in lower])[:-1])
     return np.concatenate([low @ part for low, part in zip(lower, parts, strict=True)])
 
 
 def _alike(blocks: Sequence[Array]) -> bool:
-    return len(blocks) > 1 and len(blocks[0]) <= TINY and all(len(b) == len(blocks[0]) for b in blocks)
+    return len(blocks) > 1 and len(blocks[0]) <= TINY and len(set(map(len, blocks))) == 1
 
 
 def whiten(problem: Problem, covariance: tuple[Array, ...], columns: Array) -> tuple[Array, float]:
     """L⁻¹ columns, C = L Lᵀ per block, and ln |C|; ``columns`` is (n,) or (n, k)."""
     lower = factors(covariance)
-    return lowered(lower, columns), float(2 * sum(np.log(np.diag(low)).sum() for low in lower))
+    return lowered(lower, columns), log_determinant(lower)
+
+
+def log_determinant(lower: Sequence[Array]) -> float:
+    """ln |C|, C = L Lᵀ per block."""
+    return 2 * float(np.log(np.concatenate([low.diagonal() for low in lower])).sum())
 
 
 def precision(nuisance: Array, sigma: Array, own: Array | None = None) -> tuple[Array, bool]:
@@ -138,13 +146,14 @@ def precision(nuisance: Array, sigma: Array, own: Array | None = None) -> tuple[
 
     Far from any fit columns can be so long that their square has lost the prior; its factor is then found without it.
     """
-    inner = np.diag(sigma**-2.0) + (nuisance.T @ nuisance if own is None else own)
+    inner = nuisance.T @ nuisance if own is None else own.copy()
+    inner.flat[:: len(sigma) + 1] += sigma**-2.0
     try:
         lower = np.asarray(np.linalg.cholesky(inner), float)
     except np.linalg.LinAlgError:
         pass
     else:
-        if (np.diag(lower) ** 2 > CANCELLED * np.diag(inner)).all():
+        if (lower.diagonal() ** 2 > CANCELLED * inner.diagonal()).all():
             return lower, True
     upper = np.linalg.qr(np.concatenate([nuisance, np.diag(1 / sigma)]), mode="r")
     return (upper * np.sign(np.diag(upper))[:, None]).T, True
@@ -172,8 +181,10 @@ def through(
     square : (k, k) array
         The columns' own products.
     """
-    product = square - cross.T @ cho_solve(factor, cross)
-    if not nuisance.shape[1] or (np.diag(product) >= CANCELLED * np.diag(square)).all():
+    if not nuisance.shape[1]:
+        return square
+    product = square - cross.T @ dpotrs(factor[0], cross, lower=factor[1])[0]
+    if (product.diagonal() >= CANCELLED * square.diagonal()).all():
         return np.asarray(product)
     basis = np.linalg.qr(np.concatenate([nuisance, np.diag(1 / sigma)]))[0]
     rest = np.concatenate([columns, np.zeros((len(sigma), columns.shape[1]))])
@@ -217,7 +228,7 @@ def marginals(linear: Linear, columns: Array, scales: Sequence[float] | Array) -
         s = np.where(linear.scaled, scale, 1.0)
         factor = precision(linear.nuisance, s, own)
         product = through(linear.nuisance, s, both, factor, cross, square)
-        logdet = 2 * float(np.log(np.diag(factor[0])).sum()) + 2 * float(np.log(s).sum()) + linear.logdet
+        logdet = 2 * float(np.log(factor[0].diagonal()).sum()) + 2 * float(np.log(s).sum()) + linear.logdet
         out.append(Marginal(product[1:, 1:], product[1:, 0], float(product[0, 0]), logdet, len(both)))
     return tuple(out)
 
@@ -311,10 +322,11 @@ def columns_at(
             width = fit_value(p, high) - fit_value(p, low)
             tasks.append((i, k, own, below, ask({**at, p.name: high}, own), width))
     out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
+    number = np.arange(len(problem.data))
     found = predictions(problem, values, asked)
     middles = {i: np.concatenate(found[of]) for i, of in here.items()}
     for i, k, own, below, above, width in tasks:
-        rows = slice(None) if own is every else np.r_[tuple(problem.rows(b) for b in own)]
+        rows = slice(None) if own is every else np.concatenate([number[problem.rows(b)] for b in own])
         first = middles[i][rows] if below is None else np.concatenate(found[below])
         out[i][rows, k] = (np.concatenate(found[above]) - first) / width
     # Beside a point from which light just hits, a step may find none: no derivative is better than one that is not

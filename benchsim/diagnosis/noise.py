@@ -27,6 +27,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
 from benchsim.diagnosis.hypothesis import Noise
+from benchsim.diagnosis.linear import factors, lowered
 from benchsim.diagnosis.problem import Problem
 
 Array = NDArray[np.float64]
@@ -105,30 +106,29 @@ def _gather(
     problem: Problem, lines: Sequence[NDArray[np.intp]], residual: Array, remove: Array, sigma: Array, lengths: Array
 ) -> _Kind:
     """Contrasts of all lines; what nuisances and effects could do in all of them *together* is kept to be removed."""
-    data, columns, rotations = [], [], []
-    for i in lines:
+    # Smooth in the data's own units: sigmas that follow the data would give what is smooth the data's own scatter.
+    contrasts = [_smooth_contrasts(problem.position[i]) if len(lengths) else np.eye(len(i)) for i in lines]
+    both, covariance, rotations = np.column_stack([residual, remove]), [], []
+    for i, contrast in zip(lines, contrasts, strict=True):
         b = int(problem.block[i[0]])
         local = i - problem.rows(b).start
-        position, unit = problem.position[i], sigma[i]
-        contrast = _smooth_contrasts(position) if len(lengths) else np.eye(len(i))
-        # Smooth in the data's own units: sigmas that follow the data would give what is smooth the data's own scatter.
-        lower = np.linalg.cholesky(contrast.T @ problem.covariance[b][np.ix_(local, local)] @ contrast)
-        both = solve_triangular(lower, contrast.T @ np.column_stack([residual[i], remove[i]]), lower=True)
-        data.append(both[:, 0])
-        columns.append(both[:, 1:])
-        turned = []
+        covariance.append(contrast.T @ problem.covariance[b][local[:, None], local] @ contrast)
+    factor = factors(covariance)
+    both = lowered(factor, np.concatenate([c.T @ both[i] for i, c in zip(lines, contrasts, strict=True)]))
+    for i, contrast, lower in zip(lines, contrasts, factor, strict=True) if len(lengths) else ():
+        position, unit, turned = problem.position[i], sigma[i], []
         for length in lengths:
             shared = np.exp(-np.abs(position[:, None] - position) / length) * np.outer(unit, unit)
             half = solve_triangular(lower, contrast.T @ shared @ contrast, lower=True)
             turned.append(np.linalg.eigh(solve_triangular(lower, half.T, lower=True)))
         rotations.append(turned)
-    z, x = np.concatenate(data), np.concatenate(columns)
+    z, x = both[:, 0], both[:, 1:]
     x = x[:, np.linalg.norm(x, axis=0) > VISIBLE]
     if x.shape[1]:
         # Not by the eigenvectors of a product: columns of 1e9 sigma would leave rounding of the directions of some.
         vector, value, _ = np.linalg.svd(x, full_matrices=False)
         x = vector[:, : max(len(z) // 3, 1)][:, value[: max(len(z) // 3, 1)] > VISIBLE]
-    edges = np.cumsum([0, *(len(d) for d in data)])
+    edges = np.cumsum([0, *map(len, factor)])
     eigen, turned_z, turned_x = [np.zeros(len(z))], [z], [x]
     for j in range(len(lengths)):
         eigen.append(np.concatenate([np.maximum(r[j][0], 0) for r in rotations]))
@@ -214,11 +214,10 @@ def estimate(problem: Problem, residual: Array, remove: Array, use: NDArray[np.b
     out = [c.copy() for c in problem.covariance]
     for name in np.unique(problem.kind):
         chosen = problem.kind == name
-        lines = [
-            np.flatnonzero(chosen & (problem.block == b) & (problem.stretch == s))
-            for b in range(len(problem.names))
-            for s in np.unique(problem.stretch[chosen & (problem.block == b)])
-        ]
+        own = np.flatnonzero(chosen)
+        own = own[np.lexsort((problem.stretch[own], problem.block[own]))]
+        new = np.diff(problem.block[own]).astype(bool) | np.diff(problem.stretch[own]).astype(bool)
+        lines = np.split(own, np.flatnonzero(new) + 1)
         long = [i for i in lines if problem.stretch[i[0]] >= 0 and len(i) >= FEWEST]
         lengths = np.zeros(0)
         if long:

@@ -14,7 +14,6 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence, linear, settings
 from benchsim.diagnosis.evidence import Term
@@ -183,5 +182,5 @@ def weigh(
     listed = list(hypotheses)
     factors = settings.log_cells(about, columns, scales, weights, [t for _, ts in listed for t in ts])
     first = np.cumsum([0, *(len(ts) for _, ts in listed)])[:-1]
-    total = np.logaddexp.reduceat(logsumexp(factors, axis=0), first)
+    total = np.logaddexp.reduceat(np.logaddexp.reduce(factors, axis=0), first)
     return {effects: float(z) for (effects, _), z in zip(listed, total, strict=True)}

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from benchsim.diagnosis import evidence
 from benchsim.diagnosis.evidence import Term
@@ -52,7 +51,7 @@ def grid(scaled: bool = True) -> tuple[Array, Array]:
 
 def size(scales: Array, log_scales: Array) -> tuple[float, float]:
     """Mean and sigma of the scale, from ln Z at every one of the grid."""
-    share = np.exp(log_scales - logsumexp(log_scales))
+    share = np.exp(log_scales - np.logaddexp.reduce(log_scales))
     mean = float(share @ scales)
     return mean, float(np.sqrt(share @ (scales - mean) ** 2))
 
@@ -60,7 +59,7 @@ def size(scales: Array, log_scales: Array) -> tuple[float, float]:
 def parted(scales: Array, log_scales: Array) -> tuple[float, float]:
     """ln Z of a hypothesis with settings about as stated, and of the same with setting errors beyond `BEYOND`."""
     far = scales > BEYOND
-    return float(logsumexp(log_scales[~far])), float(logsumexp(log_scales[far]))
+    return float(np.logaddexp.reduce(log_scales[~far])), float(np.logaddexp.reduce(log_scales[far]))
 
 
 def log_cells(linear: Linear, columns: Array, scales: Array, weights: Array, terms: Sequence[Term]) -> Array:

@@ -306,9 +306,8 @@ def row_of(
         if row.get("key") == key:
             return row
     result = mount_diagnosis.diagnose(
-        heliostat.folder,
+        session,
         target,
-        tower=heliostat.tower,
         draw=draw,
         shared=shared,
         without=shared_causes.OF_THE_FIELD if together else (),

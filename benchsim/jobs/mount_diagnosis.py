@@ -226,7 +226,7 @@ class MountDiagnosis(Diagnosed):
 
 
 def diagnose(
-    source: Path,
+    source: Path | Session,
     output: Path | str | None = None,
     *,
     tower: Path | None = None,
@@ -239,8 +239,8 @@ def diagnose(
 
     Parameters
     ----------
-    source : Path
-        A PAINT folder, a pointing file, or an ``amended.toml`` of one.
+    source : Path or Session
+        A PAINT folder, a pointing file, or an ``amended.toml`` of one; or what was read of it.
     output : path, optional
         Folder to write; by default nothing is written or drawn.
     tower : Path, optional
@@ -264,7 +264,8 @@ def diagnose(
     """
     folder = None if output is None else Path(output)
     progress("reading the records", 0.0)
-    session = shared_causes.applied(stated.read(source, tower), shared)
+    session = source if isinstance(source, Session) else stated.read(source, tower)
+    session = shared_causes.applied(session, shared)
     with wanted_folder(folder, "diagnose", session.files, {"pictures": draw}) as staging:
         result = diagnose_session(session, folder, without=without, progress=progress)
         if folder is None or staging is None:

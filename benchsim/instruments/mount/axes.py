@@ -29,7 +29,7 @@ _ZERO = np.zeros(1)
 
 
 def turned(vectors: Array, about: tuple[Array, Array, Array]) -> Array:
-    """Vectors (T, 3) turned by rotation vectors given by components (T,) or (1,) [rad]."""
+    """Vectors (..., T, 3) turned by rotation vectors given by components (T,) or (1,) [rad]."""
     some = [k for k, angle in enumerate(about) if angle is not _ZERO and angle.any()]
     if not some or not vectors.any():
         return vectors
@@ -37,11 +37,13 @@ def turned(vectors: Array, about: tuple[Array, Array, Array]) -> Array:
         # Most turns are about one axis, and a thousand times a fit's step.
         (k,) = some
         i, j, c, s = (k + 1) % 3, (k + 2) % 3, np.cos(about[k]), np.sin(about[k])
-        out = np.array(np.broadcast_to(vectors, (max(len(vectors), len(c)), 3)))
-        out[:, i], out[:, j] = c * vectors[:, i] - s * vectors[:, j], s * vectors[:, i] + c * vectors[:, j]
+        x, y = vectors[..., i], vectors[..., j]
+        out = np.empty((*np.broadcast_shapes(x.shape, c.shape), 3))
+        out[..., i], out[..., j], out[..., k] = c * x - s * y, s * x + c * y, vectors[..., k]
         return out
     rotation = np.stack(np.broadcast_arrays(*about), axis=-1)
-    return np.asarray(Rotation.from_rotvec(np.array(np.broadcast_to(rotation, vectors.shape))).apply(np.array(vectors)))
+    rotation, flat = (np.array(np.broadcast_to(v, vectors.shape)).reshape(-1, 3) for v in (rotation, vectors))
+    return np.asarray(Rotation.from_rotvec(rotation).apply(flat)).reshape(vectors.shape)
 
 
 def actuator_angle(actuator: Actuator, steps: Array, length: Array, offset: Array, radius: Array) -> Array:
@@ -51,14 +53,14 @@ def actuator_angle(actuator: Actuator, steps: Array, length: Array, offset: Arra
     the axis stands at its initial angle. nan where no triangle closes.
     """
     o, r = actuator.offset + offset, actuator.radius + radius
-    now = _corner(o, r, actuator.stroke + length + steps / actuator.increment)
-    start = _corner(o, r, actuator.stroke + length)
-    return actuator.initial_angle + (start - now if actuator.clockwise else now - start)
 
-
-def _corner(o: Array, r: Array, side: Array) -> Array:
-    with np.errstate(invalid="ignore", divide="ignore"):
+    def corner(side: Array) -> Array:
         return np.asarray(np.arccos((o**2 + r**2 - side**2) / (2 * o * r)))
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        now = corner(actuator.stroke + length + steps / actuator.increment)
+        start = corner(actuator.stroke + length)
+    return actuator.initial_angle + (start - now if actuator.clockwise else now - start)
 
 
 def pointing(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
@@ -129,12 +131,12 @@ def _east_west(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
         return turned(turned(vectors, (_ZERO, np.atleast_1d(mount.tilts[0]), _ZERO)), tilt)
 
     canted = turned(np.broadcast_to(mount.normal, shape), (-_of(x, "CA"), _ZERO, _ZERO))
-    normal = placed(_sagged(carried(canted), x))
     # The mirror lies in front of its axes: the arm along "north" is measured against the normal, which is −north.
     arm = mount.joints[2] * np.array([1.0, -1.0, 1.0])
-    reach = carried(np.broadcast_to(arm, shape)) + mount.joints[0]
-    reach = reach + carried(np.broadcast_to(mount.joints[1], shape), by_second=False)
-    return normal, mount.position + placed(reach) + _of(x, "dn")[:, None] * normal
+    normal, reach = carried(np.stack(np.broadcast_arrays(canted, arm)))
+    reach = reach + mount.joints[0] + carried(np.broadcast_to(mount.joints[1], shape), by_second=False)
+    normal, reach = placed(np.stack([_sagged(normal, x), reach]))
+    return normal, mount.position + reach + _of(x, "dn")[:, None] * normal
 
 
 def _sagged(normal: Array, x: Inside) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -70,33 +71,28 @@ class Predict:
     def at(self, values: Sequence[Values], blocks: NDArray[np.intp]) -> Array:
         """All at once, (T, 2)."""
         # The same values are asked of a thousand records.
-        distinct = {id(v): v for v in values}
+        keys = list(map(id, values))
+        distinct = dict(zip(keys, values, strict=True))
         x: dict[str, Array] = {n: np.full(len(distinct), v) for n, v in self.stated.items()}
         for t, one in enumerate(distinct.values()):
             for name, value in one.items():
-                unit = self.units.get(name)
-                if unit is None or value == 0.0:
+                if value == 0.0 or (unit := self.units.get(name)) is None:
                     continue
                 if name not in x:
                     x[name] = np.zeros(len(distinct))
                 x[name][t] += value * unit
         number = {k: t for t, k in enumerate(distinct)}
-        of = np.array([number[id(v)] for v in values], np.intp)
-        return self.inside({name: v[of] for name, v in x.items()}, blocks)
+        of = np.fromiter(map(number.__getitem__, keys), np.intp, len(keys))
+        return self.inside({name: v.take(of) for name, v in x.items()}, blocks)
 
     def inside(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> Array:
         """For errors in rad, mm and s, (T,) each, and record numbers (T,)."""
         predicted, seen = self.directions(x, i)
-        about = (
-            self.records.source[i]
-            if self.mount.observes == "sky"
-            else _unit(self.records.spot[i] - self.mount.position)
-        )
-        out = _apart(predicted, _unit(seen), about) / UNITS[self.mount.unit]
-        for k in range(self.drift.shape[1]):
-            for j, name in enumerate((f"drift.across_{k + 1}", f"drift.up_{k + 1}")):
+        out = np.einsum("tjk,tk->tj", self._plane[i], _arc(predicted - _unit(seen))) / UNITS[self.mount.unit]
+        for k, mode in enumerate(self.drift.T, 1):
+            for j, name in enumerate((f"drift.across_{k}", f"drift.up_{k}")):
                 if name in x:
-                    out[:, j] += self.drift[i, k] * x[name]
+                    out[:, j] += mode.take(i) * x[name]
         return np.where(np.isfinite(out).all(axis=1, keepdims=True), out, LOST)
 
     def directions(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -129,9 +125,9 @@ class Predict:
         source = sky.seen(mount, records.source[i], x)
         if mount.observes == "sky":
             return normal, source
-        none = np.zeros(1)
-        moved = (x.get(f"mirror_{k}", none) + x.get(f"survey_{k}", none) for k in "enu")
-        shift = np.stack(np.broadcast_arrays(*moved), axis=-1)
+        shift = np.zeros((len(i), 3))
+        for k, axis in enumerate("enu"):
+            shift[:, k] = x.get(f"mirror_{axis}", 0.0) + x.get(f"survey_{axis}", 0.0)
         predicted = axes.reflected(normal, source)
         seen = records.spot[i] + self._moved(x, i) - centre - shift
         if "spot_scale" in x and records.centre is not None:
@@ -142,26 +138,31 @@ class Predict:
 
     def _moved(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> Array:
         """Shift of the recorded spots (T, 3)."""
-        number = self.target_number[i]
-        east, up = x.get("spot_across", np.zeros(1)), x.get("spot_up", np.zeros(1))
-        for k in range(int(self.target_number.max(initial=-1)) + 1):
-            east = east + x.get(f"target_e_{k + 1}", 0.0) * (number == k)
-            up = up + x.get(f"target_u_{k + 1}", 0.0) * (number == k)
-        return np.stack(np.broadcast_arrays(east, 0.0 * east, up), axis=-1)
+        number, out = self.target_number[i], np.zeros((len(i), 3))
+        for axis, whole, each in ((0, "spot_across", "target_e"), (2, "spot_up", "target_u")):
+            out[:, axis] = x.get(whole, 0.0)
+            for k in range(int(self.target_number.max(initial=-1)) + 1):
+                if (name := f"{each}_{k + 1}") in x:
+                    out[:, axis] += x[name] * (number == k)
+        return out
+
+    @cached_property
+    def _plane(self) -> Array:
+        """Across and up in the plane perpendicular to each record's direction, (n, 2, 3)."""
+        records = self.records
+        about = records.source if self.mount.observes == "sky" else _unit(records.spot - self.mount.position)
+        right = np.stack([about[:, 1], -about[:, 0], 0 * about[:, 0]], axis=-1)
+        right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
+        return np.stack([right, np.cross(right, about)], axis=1)
 
 
 def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def _apart(predicted: Array, recorded: Array, about: Array) -> Array:
-    """Predicted less recorded, across and up in the plane perpendicular to ``about``, (T, 2)."""
-    right = np.stack([about[:, 1], -about[:, 0], 0 * about[:, 0]], axis=-1)
-    right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
-    up = np.cross(right, about)
-    # Along a chord lengthened to the arc: what is 15 degrees off is not called less.
-    apart = predicted - recorded
+def _arc(apart: Array) -> Array:
+    """Differences (T, 3) of unit vectors lengthened from the chord to the arc: what is 15 degrees off is not called
+    less."""
     chord = np.linalg.norm(apart, axis=1, keepdims=True)
     arc = 2 * np.arcsin(np.clip(chord / 2, 0, 1))
-    apart = apart * np.where(chord > 1e-3, arc / np.maximum(chord, 1e-12), 1.0)
-    return np.stack([(apart * right).sum(axis=1), (apart * up).sum(axis=1)], axis=-1)
+    return np.asarray(apart * np.where(chord > 1e-3, arc / np.maximum(chord, 1e-12), 1.0))

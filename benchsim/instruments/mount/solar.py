@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pvlib import atmosphere, spa
 
 from benchsim.bench.errors import BenchsimError
@@ -120,13 +121,18 @@ def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -
     stamped = np.flatnonzero(np.isfinite(times))
     if not len(stamped):
         return suns[possible[0]], (_said(possible[0], "only so can the sun stand there"),)
-    checks = {c: {a: _checked(suns[c][stamped], times[stamped], place, a) for a in (True, False)} for c in possible}
-    least = {c: min(check.miss for check in both.values()) for c, both in checks.items()}
+    # All at once: the almanac takes hardly longer for hundreds of moments than for one.
+    pairs = [(c, a) for c in possible for a in (True, False)]
+    many, lifted = np.concatenate([suns[c][stamped] for c, _ in pairs]), np.repeat([a for _, a in pairs], len(stamped))
+    every = _checked(many, np.tile(times[stamped], len(pairs)), place, lifted)
+    parts = (np.split(x, len(pairs)) for x in (every.late, every.across))
+    checks = {pair: Check(*part) for pair, *part in zip(pairs, *parts, strict=True)}
+    least = {c: min(checks[c, a].miss for a in (True, False)) for c in possible}
     fit = [c for c in possible if least[c] < (FITS_DEG if c == possible[0] else SHARP_DEG)]
     convention = fit[0] if fit else possible[0]
     source = suns[convention]
     remarks = [_said(convention, "the stamps show it" if fit else "only so can the sun stand there")]
-    apparent, true = (float(np.median(np.abs(checks[convention][a].across))) for a in (True, False))
+    apparent, true = (float(np.median(np.abs(checks[convention, a].across))) for a in (True, False))
     clear = min(apparent, true) < min(REFRACTION_DEG, max(apparent, true) / 3)
     if clear and apparent < true:
         remarks.append(
@@ -146,10 +152,10 @@ def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -
             "it is recorded (median)."
         )
     names = [paths[int(k)].name for k in stamped]
-    return source, (*remarks, *_clock(names, checks[convention][not clear or apparent < true]))
+    return source, (*remarks, *_clock(names, checks[convention, not clear or apparent < true]))
 
 
-def almanac(times: Array, place: Array, *, apparent: bool = True) -> Array:
+def almanac(times: Array, place: Array, *, apparent: bool | NDArray[np.bool_] = True) -> Array:
     """Azimuth from north through east and elevation of the sun [deg], (n, 2).
 
     Reda & Andreas 2004, https://doi.org/10.1016/j.solener.2003.12.003; refraction (pressure by height)
@@ -168,7 +174,7 @@ def almanac(times: Array, place: Array, *, apparent: bool = True) -> Array:
     _, _, lifted, plain, azimuth, _ = spa.solar_position(
         times, *place, pressure, sky.TEMPERATURE_C, ahead, sky.HORIZON_DEG, numthreads=1
     )
-    return np.column_stack([azimuth, lifted if apparent else plain])
+    return np.column_stack([azimuth, np.where(apparent, lifted, plain)])
 
 
 def zone(late: float) -> str | None:
@@ -211,7 +217,7 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
-def _checked(suns: Array, times: Array, place: Array, apparent: bool) -> Check:
+def _checked(suns: Array, times: Array, place: Array, apparent: NDArray[np.bool_]) -> Check:
     hour, declination = _turns(suns, place[0])
 
     def known(late: Array) -> tuple[Array, Array]:
