@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchsim.fluxes.heliostat import mirror_axes
-from benchsim.fluxes.traced import Light, Mirrors, Surface, trace
+from benchsim.fluxes.paths import Light, Mirrors, Surface
+from benchsim.fluxes.traced import trace
 from benchsim.plant.model import Mesh, Plant, Receiver
 from benchsim.plant.moment import NOTHING, Moment, Noise, meshes, normals, transmitted
 
