@@ -344,6 +344,7 @@ def main() -> None:
     )
     show = sub.add_parser("table", help="print rates, confusion and reliability")
     show.add_argument("files", type=Path, nargs="+")
+    show.add_argument("--against", type=Path, help="cases of a study before, of the same tier")
     args = parser.parse_args()
     if args.command == "run":
         known = [row for row in ROWS if args.tier == "traces" or row not in TRACES_ONLY]
@@ -359,7 +360,8 @@ def main() -> None:
         call = partial(one, **own)
         run(call, rows, args.cases, args.seed, args.out / f"{args.tier}-{args.seed}.jsonl", args.workers)
         return
-    tell(read(args.files))
+    cases = read(args.files)
+    tell(cases, *([score.against(cases, read([args.against]))] if args.against else []))
 
 
 def tell(cases: list[dict[str, Any]], *more: str) -> None:

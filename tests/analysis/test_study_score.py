@@ -320,3 +320,15 @@ def test_the_campaign_counts_draws_that_ended_and_names_in_classes(script):
     limited = {**good, "found": {k: found[k] for k in ("facets", "finite-beam")}, "limits": {"diffraction": 0.2}}
     assert campaign.right(limited, "diffraction")
     assert not campaign.right({**limited, "limits": {"diffraction": float("inf")}}, "diffraction")
+
+
+def test_a_rate_that_fell_is_put_first_beside_the_study_before(score):
+    """A row worse than before leads, by Fisher's exact test; one that got better is no news."""
+    clear, missed = named("canting"), case()
+    alarm, quiet = named("coma", row="clean", truth=()), case(row="clean", truth=())
+    now = [clear] * 5 + [missed] * 5 + [quiet] * 10
+    before = [clear] * 10 + [quiet] * 5 + [alarm] * 5
+    first, *rest = score.against(now, before).splitlines()[1:]
+    # 5 of 10 after 10 of 10: C(10, 5) / C(20, 5) of all ways to lay five misses are all in the later ten.
+    assert first.startswith("p 0.016     5/10      10/10 ") and "exactly named" in first
+    assert all(not t.startswith("p 0.0") or "exactly named" in t for t in rest)
