@@ -16,7 +16,7 @@ from scipy.stats import norm
 from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.fitting import RENEWALS, Start, fitted
 from benchsim.diagnosis.hypothesis import Context, Fit, Hypothesis, Naming, Point, span
-from benchsim.diagnosis.problem import Problem
+from benchsim.diagnosis.problem import Problem, fit_value
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def ahead(problem: Problem, found: Naming, effects: Mapping[str, Mapping[str, fl
     at = {name: value for own in effects.values() for name, value in own.items()}
     point = Point(
         np.zeros(len(problem.nuisances)),
-        np.array([linear.fit_value(p, at.get(p.name, 0.0)) for p in h.amplitudes]),
+        np.array([fit_value(p, at.get(p.name, 0.0)) for p in h.amplitudes]),
         np.array([at[p.name] for p in h.shapes]),
     )
     context = _context(problem, found)

@@ -116,8 +116,8 @@ def in_turn(problem: Problem) -> NDArray[np.intp]:
     pointed tomorrow.
     """
     groups = list(dict.fromkeys(problem.groups))
-    count = min(FOLDS, len(groups))
-    number = {g: i * count // len(groups) if problem.judged_forward else i % count for i, g in enumerate(groups)}
+    count, forward = min(FOLDS, len(groups)), problem.judged_forward
+    number = {g: i * count // len(groups) if forward else i % count for i, g in enumerate(groups)}
     return np.array([number[g] for g in problem.groups])
 
 

@@ -121,21 +121,22 @@ def separation(within: Space, signal: Array, rival: Effects, gram: Array | None 
     whole = float(signal @ g @ signal)
     if not len(places):
         return float(np.sqrt(max(0.0, whole)))
-    inner, cross = g[np.ix_(places, places)], g[places] @ signal
+    inner, cross = g[places[:, None], places], g[places] @ signal
     _, gain = _bounded(inner, cross, within.low[places], within.high[places])
     return float(np.sqrt(max(0.0, whole - gain)))
 
 
 def _bounded(inner: Array, cross: Array, low: Array, high: Array) -> tuple[Array, float]:
     """Largest of 2 xᵀc − xᵀ G x within bounds: where, and how much."""
-    unit = np.sqrt(np.clip(np.diag(inner), 1e-300, None))
-    values, vectors = np.linalg.eigh(inner / np.outer(unit, unit))
+    unit = np.sqrt(np.maximum(inner.diagonal(), 1e-300))
+    values, vectors = np.linalg.eigh(inner / (unit[:, None] * unit))
     keep = values > 1e-10 * values[-1]
-    root = vectors[:, keep] * np.sqrt(values[keep])
-    target = (vectors[:, keep].T @ (cross / unit)) / np.sqrt(values[keep])
-    x = (vectors[:, keep] / np.sqrt(values[keep])) @ target / unit
-    if np.any(x < low) or np.any(x > high):
-        x = lsq_linear(root.T * unit, target, bounds=(low, high), method="bvls" if len(x) < 20 else "trf").x
+    vectors, size = vectors[:, keep], np.sqrt(values[keep])
+    target = (vectors.T @ (cross / unit)) / size
+    x = (vectors / size) @ target / unit
+    if ((x < low) | (x > high)).any():
+        root = (vectors * size).T * unit
+        x = lsq_linear(root, target, bounds=(low, high), method="bvls" if len(x) < 20 else "trf").x
     return x, float(2 * x @ cross - x @ inner @ x)
 
 

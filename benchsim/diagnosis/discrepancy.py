@@ -26,8 +26,8 @@ from scipy.linalg.lapack import dsytrd
 from benchsim.diagnosis.evidence import PRESENCE
 from benchsim.diagnosis.functions import Prepared, products
 from benchsim.diagnosis.hypothesis import Fit, Naming
-from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, precision, predict_all, value_of, whiten
-from benchsim.diagnosis.problem import Attachment, Parameter, Problem
+from benchsim.diagnosis.linear import Linear, linearise, nuisance_posterior, precision, predict_all, whiten
+from benchsim.diagnosis.problem import Attachment, Parameter, Problem, value_of
 
 Array = NDArray[np.float64]
 
@@ -308,15 +308,13 @@ def _one(problem: Problem, prepared: Prepared, ground: _Ground) -> Attached:
     log_prior = np.log(rms / rms.sum() / len(prepared.roots))
     grams: list[Array] = []
     projections: list[Array] = []
-
-    def seen(one: Array, other: Array) -> Array:
-        return np.asarray(np.tensordot(ground.weight, products(problem, one, other), 1))
-
+    both = np.column_stack([ground.nuisance, ground.residual])
     for white, square in zip(prepared.white, prepared.squares, strict=True):
-        taken = ground.root @ seen(ground.nuisance, white)
+        seen = np.tensordot(ground.weight, products(problem, both, white), 1)
+        taken = ground.root @ seen[:, :-1]
         turned = np.swapaxes(taken, 1, 2)
         grams.extend(np.tensordot(ground.weight, square, 1) - turned @ taken)
-        projections.extend(seen(white, ground.residual) - (turned @ ground.half[:, :, None])[:, :, 0])
+        projections.extend(seen[:, -1] - (turned @ ground.half[:, :, None])[:, :, 0])
     known = np.tile(ground.known, len(prepared.roots))
     cells = known[:, None] + _gains(grams, projections, rms) + log_prior
     each = np.logaddexp.reduce(cells.reshape(len(prepared.roots), len(np.unique(ground.scale)), -1), axis=(0, 2))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,10 @@ class Search:
         ln Z of every set that was weighed or fitted, and the fit about which.
     done
         Best fit of each set.
+    afresh
+        Those with effects, as far as they were asked for, at the stated settings (`starts`).
+    terms
+        Integrals of each effect.
     """
 
     context: Context
@@ -56,6 +61,8 @@ class Search:
     done: dict[Effects, Solved]
     stated: Solved
     earlier: Mapping[Effects, Begun] = field(default_factory=dict)
+    afresh: dict[Effects, Solved] = field(default_factory=dict)
+    terms: dict[str, list[Term]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.names = tuple(self.catalogue.effects)
@@ -109,17 +116,21 @@ def log_z_about(s: Search, solved: Solved, wanted: Sequence[Effects]) -> dict[Ef
     """ln Z of sets about a fit by linear algebra, prior of presence included; what both hold has its columns there."""
     h = s.hypothesis(solved.fit.effects)
     own = solved.columns[:, len(s.context.problem.nuisances) :]
-    columns = np.column_stack([own, s.white])
-    number = {p.name: i for i, p in enumerate((*h.amplitudes, *h.shapes))}
-    cache: dict[str, list[Term]] = {}
+    columns = np.column_stack([s.white, own])
+    number = {p.name: i for i, p in enumerate((*h.amplitudes, *h.shapes), s.white.shape[1])}
+
+    @cache
+    def base(names: Effects) -> list[Term]:
+        kept = Hypothesis(tuple(e for e in h.effects if e.name in names))
+        there = [number[p.name] for p in (*kept.amplitudes, *kept.shapes)]
+        return [replace(t, columns=tuple(there[c] for c in t.columns)) for t in kept.terms]
+
     listed = []
     for effects in wanted:
-        kept = Hypothesis(tuple(e for e in h.effects if e.name in effects))
-        there = [number[p.name] for p in (*kept.amplitudes, *kept.shapes)]
-        base = [replace(t, columns=tuple(there[c] for c in t.columns)) for t in kept.terms]
         more = tuple(e for e in effects if e not in h.names)
-        joined = screen.hypothesis_terms(s.catalogue, more, cache, own.shape[1])
-        listed.append((effects, [screen.join(a, b) for a in base for b in joined]))
+        joined = screen.hypothesis_terms(s.catalogue, more, s.terms)
+        kept = base(tuple(e for e in effects if e in h.names))
+        listed.append((effects, [screen.join(a, b) for a in kept for b in joined]))
     found = screen.weigh(solved.fit.linear, columns, s.context.scales, s.context.weights, listed)
     return {e: z + s.prior(e) for e, z in found.items()}
 

@@ -240,14 +240,14 @@ def fitted(
     problem: Problem, parameters: Sequence[Parameter], lower: Sequence[Array], at: Mapping[str, float]
 ) -> dict[str, float]:
     """Robust fit of some parameters to all data; all else as in ``at``."""
-    sigma = np.array([p.sigma for p in parameters])
+    sigma, some = np.array([p.sigma for p in parameters]), _some(parameters)
 
     def values(x: Array) -> dict[str, float]:
         return {**at, **_named(parameters, x * sigma)}
 
     def total(x: Array) -> tuple[float, Array]:
         white = _white(problem, lower, [values(x)])[0]
-        return float(loss(white).sum() + np.where(_some(parameters), loss(x), x**2).sum()), white
+        return float(loss(white).sum() + np.where(some, loss(x), x**2).sum()), white
 
     x = np.array([at.get(p.name, 0.0) for p in parameters]) / sigma
     now, white = total(x)

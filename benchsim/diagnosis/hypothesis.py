@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.evidence import Term
 from benchsim.diagnosis.linear import Linear
-from benchsim.diagnosis.problem import Effect, Parameter, Problem
+from benchsim.diagnosis.problem import Effect, Parameter, Problem, value_of
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -151,7 +151,7 @@ def values(problem: Problem, hypothesis: Hypothesis, point: Point) -> dict[str, 
     """A point in the parameters' units."""
     out = {p.name: float(x * p.sigma) for p, x in zip(problem.nuisances, point.nuisance, strict=True)}
     for p, q in zip(hypothesis.amplitudes, point.amplitude, strict=True):
-        out[p.name] = linear.value_of(p, q)
+        out[p.name] = value_of(p, q)
     out.update({p.name: float(s) for p, s in zip(hypothesis.shapes, point.shape, strict=True)})
     for effect in hypothesis.effects:
         out.update(evidence.fixed(effect))

@@ -236,18 +236,19 @@ def bounded(hessian: Array, force: Array, low: Array, high: Array) -> Array:
     Nothing that was fixed is set free again: where several bounds act the step may fall short of the best.
     """
     step = np.zeros(len(force))
-    free = ~(((low >= 0) & (force < 0)) | ((high <= 0) & (force > 0)))
-    while free.any():
-        rest, own = (force - hessian @ np.where(free, 0.0, step))[free], hessian[free][:, free]
+    free = np.flatnonzero(~(((low >= 0) & (force < 0)) | ((high <= 0) & (force > 0))))
+    while len(free):
+        step[free] = 0.0
+        rest, own = force[free] - hessian[free] @ step, hessian[free[:, None], free]
         # Far from any fit rounding can outweigh a direction's own curvature.
         own.flat[:: len(own) + 1] += 1e-14 * own.diagonal() + 1e-300
         _, step[free], failed = dposv(own, rest)
         if failed:
             step[free] = np.linalg.lstsq(own, rest, rcond=None)[0]
-        beyond = np.maximum(low - step, step - high)
-        beyond[~free] = 0.0
-        if not (beyond > 0).any():
+        beyond = np.maximum(low - step, step - high)[free]
+        worst = int(beyond.argmax())
+        if not beyond[worst] > 0:
             break
-        worst = int(np.argmax(beyond))
-        step[worst], free[worst] = np.clip(step[worst], low[worst], high[worst]), False
-    return np.asarray(np.clip(step, low, high))
+        at, free = free[worst], np.delete(free, worst)
+        step[at] = low[at] if step[at] < low[at] else high[at]
+    return np.minimum(np.maximum(step, low), high)

@@ -17,9 +17,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpotrs
+from scipy.linalg.lapack import dpotrf, dpotrs
 
-from benchsim.diagnosis.problem import Parameter, Problem, Values
+from benchsim.diagnosis.problem import Parameter, Problem, Values, fit_value
 
 Array = NDArray[np.float64]
 
@@ -101,9 +101,12 @@ def factors(covariance: Sequence[Array]) -> tuple[Array, ...]:
 def lowered(lower: Sequence[Array], columns: Array) -> Array:
     """L⁻¹ columns, block after block; ``columns`` is (n,) or (n, k)."""
     if _alike(lower):
-        # One call for all: a triangular solution of two rows costs hundreds of times its arithmetic.
-        flat = columns.reshape(len(lower), len(lower[0]), -1)
-        return np.asarray(np.linalg.solve(np.array(lower), flat)).reshape(columns.shape)
+        # Row by row for all at once: a triangular solution of two rows costs hundreds of times its arithmetic.
+        low, flat = np.array(lower), columns.reshape(len(lower), len(lower[0]), -1).astype(float)
+        for i in range(flat.shape[1]):
+            flat[:, i] -= np.einsum("bj,bjk->bk", low[:, i, :i], flat[:, :i])
+            flat[:, i] /= low[:, i, i, None]
+        return flat.reshape(columns.shape)
     out: Array = np.zeros(columns.shape)
     whole, solved = (a if a.ndim == 2 else a[:, None] for a in (columns, out))
     first = 0
@@ -148,13 +151,9 @@ def precision(nuisance: Array, sigma: Array, own: Array | None = None) -> tuple[
     """
     inner = nuisance.T @ nuisance if own is None else own.copy()
     inner.flat[:: len(sigma) + 1] += sigma**-2.0
-    try:
-        lower = np.asarray(np.linalg.cholesky(inner), float)
-    except np.linalg.LinAlgError:
-        pass
-    else:
-        if (lower.diagonal() ** 2 > CANCELLED * inner.diagonal()).all():
-            return lower, True
+    lower, failed = dpotrf(inner, lower=1)
+    if not failed and (lower.diagonal() ** 2 > CANCELLED * inner.diagonal()).all():
+        return lower, True
     upper = np.linalg.qr(np.concatenate([nuisance, np.diag(1 / sigma)]), mode="r")
     return (upper * np.sign(np.diag(upper))[:, None]).T, True
 
@@ -252,16 +251,6 @@ def nuisance_posterior(linear: Linear, residual: Array, scale: float = 1.0) -> t
     return covariance @ (linear.nuisance.T @ residual), covariance
 
 
-def fit_value(parameter: Parameter, value: float) -> float:
-    """The number the data respond to: value**power."""
-    return value**parameter.power
-
-
-def value_of(parameter: Parameter, fit: float) -> float:
-    """The value of a number that the data respond to; what has a power is never below 0."""
-    return float(max(fit, 0.0) ** (1 / parameter.power)) if parameter.power > 1 else float(fit)
-
-
 CENTRAL, FORWARD = 0.05, 0.01
 """Steps of differences, in prior sigmas: far below the scale on which the prediction bends, far above its rounding. At
 the fit of a recording by other code the two differ by 2e-5 of a column in the median, by 0.04 for a second surface."""
@@ -293,18 +282,20 @@ def columns_at(
     steps: Mapping[str, float] | None = None,
 ) -> list[Array]:
     """`columns` at several points, each with parameters of its own; all predictions are asked for at once."""
-    every = range(len(problem.names))
+    every, number = range(len(problem.names)), np.arange(len(problem.data))
     values: list[Values] = []
     asked: list[int] = []
+    ends = [0]
 
-    def ask(at: Values, blocks: Sequence[int]) -> slice:
+    def ask(at: Values, blocks: Sequence[int], rows: NDArray[np.intp]) -> slice:
         # One mapping for all blocks: a thousand records would fill the memory with copies.
         values.extend([at] * len(blocks))
         asked.extend(blocks)
-        return slice(len(values) - len(blocks), len(values))
+        ends.append(ends[-1] + len(rows))
+        return slice(*ends[-2:])
 
     here: dict[int, slice] = {}
-    tasks: list[tuple[int, int, Sequence[int], slice | None, slice, float]] = []
+    tasks: list[tuple[int, int, NDArray[np.intp], slice | None, slice, float]] = []
     for i, (at, parameters) in enumerate(points):
         for k, p in enumerate(parameters):
             middle, half = at.get(p.name, 0.0), (steps or {}).get(p.name)
@@ -316,38 +307,39 @@ def columns_at(
             if (p.one_sided or p.power > 1) and low < 0:
                 low, high, once = 0.0, 2 * step, False
             if once and i not in here:
-                here[i] = ask(at, every)
+                here[i] = ask(at, every, number)
             own: Sequence[int] = every if p.blocks is None else p.blocks
-            below = None if once else ask({**at, p.name: low}, own)
+            rows = number if p.blocks is None else np.concatenate([number[problem.rows(b)] for b in own])
+            below = None if once else ask({**at, p.name: low}, own, rows)
             width = fit_value(p, high) - fit_value(p, low)
-            tasks.append((i, k, own, below, ask({**at, p.name: high}, own), width))
+            tasks.append((i, k, rows, below, ask({**at, p.name: high}, own, rows), width))
     out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
-    number = np.arange(len(problem.data))
     found = predictions(problem, values, asked)
-    middles = {i: np.concatenate(found[of]) for i, of in here.items()}
-    for i, k, own, below, above, width in tasks:
-        rows = slice(None) if own is every else np.concatenate([number[problem.rows(b)] for b in own])
-        first = middles[i][rows] if below is None else np.concatenate(found[below])
-        out[i][rows, k] = (np.concatenate(found[above]) - first) / width
+    for i, k, rows, below, above, width in tasks:
+        first = found[here[i]][rows] if below is None else found[below]
+        out[i][rows, k] = (found[above] - first) / width
     # Beside a point from which light just hits, a step may find none: no derivative is better than one that is not
     # finite, since steps of fits are taken on exact predictions.
     return [np.where(np.isfinite(j), j, 0.0) for j in out]
 
 
-def predictions(problem: Problem, values: Sequence[Values], blocks: Sequence[int]) -> list[Array]:
-    """Predictions for values and the block of each, in their order, through `Problem.spread`.
+def predictions(problem: Problem, values: Sequence[Values], blocks: Sequence[int]) -> Array:
+    """Predictions for values and the block of each, one after the other, through `Problem.spread`.
 
     Where the prediction takes lists (it has ``many``), it is given lists of values and of their blocks, which is
     several times cheaper.
     """
+    if not values:
+        return np.zeros(0)
     if not hasattr(problem.predict, "many"):
-        return list(problem.spread(problem.predict, values, blocks))
+        return np.concatenate(list(problem.spread(problem.predict, values, blocks)))
     size = np.bincount(problem.block, minlength=len(problem.names))
     count = max(1, -(-int(size[np.asarray(blocks, np.intp)].sum()) // TOGETHER))
     ends = [len(values) * k // count for k in range(count + 1)]
     parts = [slice(*pair) for pair in pairwise(ends)]
     lists, numbers = [list(values[p]) for p in parts], [[int(b) for b in blocks[p]] for p in parts]
-    return [f for found in problem.spread(problem.predict, lists, numbers) for f in found]
+    found = problem.spread(problem.predict, lists, numbers)
+    return np.concatenate([f for many in found for f in ([many.ravel()] if isinstance(many, np.ndarray) else many)])
 
 
 def predict_all(problem: Problem, at: Values) -> Array:
@@ -358,8 +350,8 @@ def predict_all(problem: Problem, at: Values) -> Array:
 def predict_each(problem: Problem, points: Sequence[Values]) -> list[Array]:
     """`predict_all` at several points, which are asked for at once."""
     blocks = range(len(problem.names))
-    found = iter(predictions(problem, [at for at in points for _ in blocks], [b for _ in points for b in blocks]))
-    return [np.concatenate([next(found) for _ in blocks]) for _ in points]
+    found = predictions(problem, [at for at in points for _ in blocks], [*blocks] * len(points))
+    return list(found.reshape(len(points), len(problem.data)))
 
 
 def linearise(

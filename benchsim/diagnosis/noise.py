@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -212,6 +213,7 @@ def estimate(problem: Problem, residual: Array, remove: Array, use: NDArray[np.b
     correlation: dict[str, float] = {}
     freedom: dict[str, float] = {}
     out = [c.copy() for c in problem.covariance]
+    removed = cache(lambda b: removable(problem.covariance[b], white[b]))
     for name in np.unique(problem.kind):
         chosen = problem.kind == name
         own = np.flatnonzero(chosen)
@@ -240,7 +242,7 @@ def estimate(problem: Problem, residual: Array, remove: Array, use: NDArray[np.b
             local = i - problem.rows(b).start
             more = scale[str(name)] ** 2 - 1
             if more < 0:
-                more *= removable(problem.covariance[b], white[b])
+                more *= removed(b)
             out[b][local, local] += more * white[b][local]
             if problem.stretch[i[0]] >= 0 and len(lengths):
                 apart = np.abs(problem.position[i][:, None] - problem.position[i])

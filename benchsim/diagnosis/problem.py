@@ -56,6 +56,16 @@ class Parameter:
     grid: tuple[float, ...] = ()
 
 
+def fit_value(parameter: Parameter, value: float) -> float:
+    """The number the data respond to: value**power."""
+    return value**parameter.power
+
+
+def value_of(parameter: Parameter, fit: float) -> float:
+    """The value of a number that the data respond to; what has a power is never below 0."""
+    return float(max(fit, 0.0) ** (1 / parameter.power)) if parameter.power > 1 else float(fit)
+
+
 @dataclass(frozen=True)
 class Effect:
     """A named piece of physics that the simulation may lack.

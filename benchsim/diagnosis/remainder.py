@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, f
+from scipy.special import chdtrc, fdtrc
 
 from benchsim.diagnosis.discrepancy import Attached, absorb, with_columns
 from benchsim.diagnosis.functions import smooth_functions
@@ -181,7 +181,7 @@ def remainder(
         # The most visible modes, and all: what is rough spreads over many of them.
         sums = [(float((y[:k] ** 2 / values[:k]).sum()), k) for k in sorted({min(MODES, len(y)), len(y)})]
         chances = [
-            chi2.sf(total, k) if np.isinf(known) else f.sf(total / max(k, 1), max(k, 1), known) for total, k in sums
+            chdtrc(k, total) if np.isinf(known) else fdtrc(max(k, 1), known, total / max(k, 1)) for total, k in sums
         ]
         statistic, rank = sums[0]
         rms = float("nan")

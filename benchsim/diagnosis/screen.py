@@ -111,12 +111,12 @@ def _bends(problem: Problem, points: Sequence[tuple[Values, Sequence[Parameter]]
     return np.where(np.isfinite(out), out, 0.0)
 
 
-def effect_terms(catalogue: Catalogue, name: str, offset: int = 0) -> list[Term]:
+def effect_terms(catalogue: Catalogue, name: str) -> list[Term]:
     """All integrals of one effect: its grid nodes times its population sigmas."""
     effect = catalogue.effects[name]
     return [
         evidence.term(
-            evidence.entries(effect, [c + offset for c in node.columns], field_sigma),
+            evidence.entries(effect, node.columns, field_sigma),
             node.log_weight + log_weight,
             () if field_sigma is None else (field_sigma,),
         )
@@ -149,13 +149,11 @@ def join(first: Term, second: Term) -> Term:
     )
 
 
-def hypothesis_terms(
-    catalogue: Catalogue, effects: Effects, cache: dict[str, list[Term]], offset: int = 0
-) -> list[Term]:
+def hypothesis_terms(catalogue: Catalogue, effects: Effects, cache: dict[str, list[Term]]) -> list[Term]:
     """All integrals of a set of effects."""
     for name in effects:
         if name not in cache:
-            cache[name] = effect_terms(catalogue, name, offset)
+            cache[name] = effect_terms(catalogue, name)
     terms = [Term((), (), (0, 0, 0), 0.0)]
     for name in effects:
         terms = [join(a, b) for a in terms for b in cache[name]]

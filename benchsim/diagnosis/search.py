@@ -150,6 +150,7 @@ def _keep(s: Search, ends: Sequence[Solved]) -> None:
         was = [s.done[effects]] if effects in s.done and not any(e.exact for e in many) else []
         end = max([*many, *was], key=lambda x: -x.cost if placed else x.fit.log_evidence)
         s.done[effects] = _faint(s, end)
+        s.afresh.pop(effects, None)
         s.log_z[effects], s.source[effects] = s.done[effects].fit.log_evidence, effects
     for effects in sorted(found, key=lambda e: -s.done[e].fit.log_evidence):
         _weigh_about(s, s.done[effects])

@@ -126,10 +126,12 @@ def _either(s: Search, h: Hypothesis, kept: Mapping[str, Place], name: str) -> l
 
 def _anew(s: Search, parent: Solved, name: str) -> list[Place]:
     """Where an effect might begin beside the effects of a fit, but at the stated settings."""
-    point = replace(parent.point, nuisance=np.zeros_like(parent.point.nuisance))
-    nuisance = linear.raised(s.context.lower, s.stated.columns[:, : len(point.nuisance)])
-    about = as_it_stands(s.context, s.hypothesis(parent.fit.effects), point, nuisance)
-    return places(s, about, [name])[name][:VALLEYS]
+    own = parent.fit.effects
+    if own not in s.afresh:
+        point = replace(parent.point, nuisance=np.zeros_like(parent.point.nuisance))
+        nuisance = linear.raised(s.context.lower, s.stated.columns[:, : len(point.nuisance)])
+        s.afresh[own] = as_it_stands(s.context, s.hypothesis(own), point, nuisance)
+    return places(s, s.afresh[own], [name])[name][:VALLEYS]
 
 
 def _of(s: Search, solved: Solved, name: str) -> Place:
@@ -200,7 +202,7 @@ def valleys(effect: Effect, gram: Array, projection: Array) -> list[list[tuple[f
         q = np.linalg.solve(gram[:, :k, :k] + np.diag(unit**-2.0), projection[:, :k, None])[..., 0]
         q = np.where(sided, np.maximum(q, 0.1 * unit), q)
         return [[(float(0.5 * p[:k] @ x), x)] for p, x in zip(projection, q, strict=True)]
-    axes = [AMPLITUDES[AMPLITUDES >= 0] if one else AMPLITUDES for one in sided]
+    axes, eye = [AMPLITUDES[AMPLITUDES >= 0] if one else AMPLITUDES for one in sided], np.eye(k)
 
     def answer(value: Array) -> Array:
         q = (value * sigma) ** power
@@ -213,10 +215,9 @@ def valleys(effect: Effect, gram: Array, projection: Array) -> list[list[tuple[f
 
     def curved(value: Array, gram: Array) -> tuple[Array, Array]:
         rise = unit * np.where(power == 2, 2 * value, 1.0)
-        slope = rise[:, None, :] * np.concatenate(
-            [np.broadcast_to(np.eye(k), (len(value), k, k)), ((value * sigma) ** power)[:, :, None] * np.eye(k)], axis=1
-        )
-        return slope, slope.transpose(0, 2, 1) @ gram @ slope + np.eye(k)
+        both = np.stack([rise, rise * (value * sigma) ** power], axis=1)
+        slope = (both[..., None] * eye).reshape(-1, 2 * k, k)
+        return slope, slope.transpose(0, 2, 1) @ gram @ slope + eye
 
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     height = cost(mesh, *(np.expand_dims(x, tuple(range(1, k + 1))) for x in (gram, projection)))
@@ -232,6 +233,8 @@ def valleys(effect: Effect, gram: Array, projection: Array) -> list[list[tuple[f
         costs = cost(tried, gram, projection)
         best = (costs.argmin(axis=0), np.arange(len(node)))
         moves &= costs[best] < now
+        if not moves.any():
+            break
         value, now = np.where(moves[:, None], tried[best], value), np.where(moves, costs[best], now)
     gain = -now - 0.5 * np.linalg.slogdet(curved(value, gram)[1])[1]
     # One-sided effects begin off their boundary, where a derivative may be of the other side.

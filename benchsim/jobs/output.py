@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from shutil import rmtree
@@ -169,21 +170,26 @@ def _command_of(folder: Path) -> str | None:
 
 
 def _stamp(command: str, inputs: Sequence[Path], options: dict[str, Any], defaults: Sequence[str]) -> dict[str, Any]:
-    versions = {"benchsim": benchsim.__version__}
-    for package in _PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
     return {
         "format": "benchsim-output/1",
         "command": command,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "options": options,
         "inputs": {_short(path, inputs[0].parent): file_hash(path) for path in inputs},
-        "versions": versions,
+        "versions": _versions(),
         "defaults_used": list(defaults),
     }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    versions = {"benchsim": benchsim.__version__}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return versions
 
 
 def _short(path: Path, folder: Path) -> str:

@@ -16,8 +16,8 @@ from benchsim.diagnosis.degeneracy import bounds
 from benchsim.diagnosis.fitting import RENEWALS, Start, fitted
 from benchsim.diagnosis.hypothesis import Context, Hypothesis, Point
 from benchsim.diagnosis.levels import APART
-from benchsim.diagnosis.linear import Linear, columns, factors, fit_value, linearise, predict_all, value_of, whiten
-from benchsim.diagnosis.problem import Effect, Problem
+from benchsim.diagnosis.linear import Linear, columns, factors, linearise, predict_all, whiten
+from benchsim.diagnosis.problem import Effect, Problem, fit_value, value_of
 from benchsim.diagnosis.screen import Catalogue, expand
 
 Array = NDArray[np.float64]

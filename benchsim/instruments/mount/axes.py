@@ -30,8 +30,8 @@ _ZERO = np.zeros(1)
 
 def turned(vectors: Array, about: tuple[Array, Array, Array]) -> Array:
     """Vectors (..., T, 3) turned by rotation vectors given by components (T,) or (1,) [rad]."""
-    some = [k for k, angle in enumerate(about) if angle is not _ZERO and angle.any()]
-    if not some or not vectors.any():
+    some = [k for k, angle in enumerate(about) if angle is not _ZERO and np.count_nonzero(angle)]
+    if not some:
         return vectors
     if len(some) == 1:
         # Most turns are about one axis, and a thousand times a fit's step.
@@ -117,25 +117,19 @@ def _east_west(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
     # The second joint's tilt about east adds to the first angle, which turns about east, too.
     first = first + mount.zero[0] + _of(x, "IE") + mount.tilts[2]
     second = second + mount.zero[1] + _of(x, "IA")
-    shape = (len(first), 3)
-    tilt = (_ZERO, _of(x, "tilt_n"), _of(x, "tilt_u"))
-
-    def carried(vectors: Array, *, by_second: bool = True) -> Array:
-        if by_second:
-            vectors = turned(vectors, (_ZERO, _ZERO, second))
-        askew = _of(x, "NPAE") + mount.tilts[3]
-        return turned(turned(vectors, (_ZERO, askew, _ZERO)), (first, _ZERO, _ZERO))
-
-    def placed(vectors: Array) -> Array:
-        vectors = turned(vectors, (_ZERO, _ZERO, np.atleast_1d(mount.tilts[1])))
-        return turned(turned(vectors, (_ZERO, np.atleast_1d(mount.tilts[0]), _ZERO)), tilt)
-
-    canted = turned(np.broadcast_to(mount.normal, shape), (-_of(x, "CA"), _ZERO, _ZERO))
+    # The normal, and the way from the first joint to the mirror's centre, from the mirror down to the ground.
+    both = np.empty((2, len(first), 3))
+    both[0] = turned(mount.normal[None], (-_of(x, "CA"), _ZERO, _ZERO))
     # The mirror lies in front of its axes: the arm along "north" is measured against the normal, which is −north.
-    arm = mount.joints[2] * np.array([1.0, -1.0, 1.0])
-    normal, reach = carried(np.stack(np.broadcast_arrays(canted, arm)))
-    reach = reach + mount.joints[0] + carried(np.broadcast_to(mount.joints[1], shape), by_second=False)
-    normal, reach = placed(np.stack([_sagged(normal, x), reach]))
+    both[1] = mount.joints[2] * [1.0, -1.0, 1.0]
+    both = turned(both, (_ZERO, _ZERO, second))
+    both[1] += mount.joints[1]
+    both = turned(both, (_ZERO, _of(x, "NPAE") + mount.tilts[3], _ZERO))
+    both = turned(both, (first, _ZERO, _ZERO))
+    both[0], both[1] = _sagged(both[0], x), both[1] + mount.joints[0]
+    both = turned(both, (_ZERO, _ZERO, mount.tilts[1:2]))
+    both = turned(both, (_ZERO, mount.tilts[:1], _ZERO))
+    normal, reach = turned(both, (_ZERO, _of(x, "tilt_n"), _of(x, "tilt_u")))
     return normal, mount.position + reach + _of(x, "dn")[:, None] * normal
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import amplitudes
-from benchsim.diagnosis.problem import Effect, NextRecording, Problem
+from benchsim.diagnosis.problem import Effect, NextRecording, Parameter, Problem
 from benchsim.instruments.mount import axes
 from benchsim.instruments.mount.posing import problem_of
 from benchsim.instruments.mount.prediction import Predict
@@ -44,21 +44,40 @@ class Next:
 
     def __call__(self) -> tuple[NextRecording, ...]:
         """Every candidate, linearised at the stated mount."""
-        return tuple(
-            _further(self.problem, self.predict, self.sigma, what, records)
-            for what, records in _candidates(self.predict)
-        )
+        known, (whats, records) = self.predict, _candidates(self.predict)
+        if not whats:
+            return ()
+        order = {t: k for t, k in zip(known.records.target, known.target_number, strict=True)}
+        number = np.array([order.get(t, 0) for t in records.target], np.intp)
+        own = replace(known, records=records, target_number=number, drift=np.zeros((len(number), 0)))
+        stub = problem_of(own, self.problem.catalogue, self.sigma)
+        many = [p for e in _steady(self.problem.catalogue) for p in amplitudes(e)]
+        slopes = linear.columns(stub, {}, (*stub.nuisances, *many))
+        parts = slopes.reshape(len(whats), -1, slopes.shape[1])
+        return tuple(_further(stub, many, self.sigma, what, part) for what, part in zip(whats, parts, strict=True))
 
 
-def _candidates(predict: Predict) -> Iterator[tuple[str, Records]]:
+def _further(stub: Problem, many: Sequence[Parameter], sigma: float, what: str, slopes: Array) -> NextRecording:
+    return NextRecording(
+        kind="recording",
+        what=what,
+        covariance=np.eye(len(slopes)) * sigma**2,
+        nuisance={p.name: slopes[:, k] for k, p in enumerate(stub.nuisances)},
+        priors={},
+        effect={p.name: slopes[:, len(stub.nuisances) + k] for k, p in enumerate(many)},
+    )
+
+
+def _candidates(predict: Predict) -> tuple[list[str], Records]:
+    """What could be recorded, and the records of it, as many of each."""
     mount, records = predict.mount, predict.records
     if mount.observes == "sky":
-        for height in (20, 40, 60, 75):
-            azimuth = 2 * np.pi * np.arange(STARS) / STARS
-            reading = np.column_stack([azimuth, np.full(STARS, np.radians(height))])
-            where = toward(reading[:, 0], reading[:, 1])
-            yield f"Point at {STARS} stars all around at an elevation of {height} deg.", _sky(mount, reading, where)
-        return
+        heights = (20, 40, 60, 75)
+        azimuth = np.tile(2 * np.pi * np.arange(STARS) / STARS, len(heights))
+        reading = np.column_stack([azimuth, np.repeat(np.radians(heights), STARS)])
+        names, spots = tuple(f"next {k + 1}" for k in range(len(reading))), np.full((len(reading), 3), np.nan)
+        later = Records(names, reading - mount.zero, toward(*reading.T), spots, ("",) * len(reading))
+        return [f"Point at {STARS} stars all around at an elevation of {h} deg." for h in heights], later
     latitude = mount.latitude if mount.latitude is not None else np.radians(45.0)
     targets = {
         t: records.spot[[k for k, o in enumerate(records.target) if o == t]].mean(axis=0) for t in records.target
@@ -72,22 +91,18 @@ def _candidates(predict: Predict) -> Iterator[tuple[str, Records]]:
     ]
     suns = np.array([sun for *_, sun in asked]).reshape(-1, 3)
     spots = np.array([targets[target] for _, _, target, _ in asked]).reshape(-1, 3)
-    for (season, hour, target, sun), at in zip(asked, aimed(mount, suns, spots, records.reading), strict=True):
-        if not np.isfinite(at).all():
-            continue
+    reading = aimed(mount, suns, spots, records.reading)
+    good = np.flatnonzero(np.isfinite(reading).all(axis=1))
+    whats = []
+    for season, hour, target, sun in (asked[i] for i in good):
         azimuth, elevation = angles(sun)
         when = "at noon" if hour == 0 else f"{abs(hour):g} h {'before' if hour < 0 else 'after'} noon"
-        what = (
+        whats.append(
             f"Record a spot on {target} at {season} {when} (sun at azimuth {np.degrees(azimuth):.0f} deg from "
             f"north through east, elevation {np.degrees(elevation):.0f} deg)."
         )
-        yield what, Records(("next",), at[None], sun[None], targets[target][None], (target,))
-
-
-def _sky(mount: Mount, reading: Array, where: Array) -> Records:
-    n = len(reading)
-    reading = reading - mount.zero
-    return Records(tuple(f"next {k + 1}" for k in range(n)), reading, where, np.full((n, 3), np.nan), ("",) * n)
+    own = tuple(asked[i][2] for i in good)
+    return whats, Records(("next",) * len(good), reading[good], suns[good], spots[good], own)
 
 
 def sun_at(latitude: float, declination: float, hour: float) -> Array:
@@ -98,54 +113,33 @@ def sun_at(latitude: float, declination: float, hour: float) -> Array:
 def aimed(mount: Mount, suns: Array, spots: Array, known: Array) -> Array:
     """Readings (T, 2) at which the stated mount sends the light of suns (T, 3) to spots (T, 3).
 
-    Found by damped Newton steps from the middle and the extremes of the known readings, actuators within their travel;
-    nan where a spot cannot be reached.
+    Found by damped Newton steps from the middle and the extremes of the known readings, of which the first that leads
+    there counts, actuators within their travel; nan where a spot cannot be reached.
     """
     unit = np.maximum(np.ptp(known, axis=0), 1e-3 * np.maximum(np.abs(known).max(axis=0), 1.0))
-    out, steps = np.full((len(suns), 2), np.nan), SMALL * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    for start in (np.median(known, axis=0), *known[:: max(1, len(known) // 4)]):
-        left = np.flatnonzero(np.isnan(out[:, 0]))
-        if not len(left):
-            break
-        sun, spot = (np.tile(v[left], (len(steps), 1)) for v in (suns, spots))
+    steps = SMALL * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    starts = np.array([np.median(known, axis=0), *known[:: max(1, len(known) // 4)]]) / unit
+    sun, spot = (np.tile(v, (len(steps) * len(starts), 1)) for v in (suns, spots))
 
-        def off(x: Array, sun: Array = sun, spot: Array = spot) -> Array:
-            """1e3 times by how much the beam misses the spot at readings (T, 2), and beside them; (3, T, 3)."""
-            normal, centre = axes.pointing(mount, (x + steps[:, None]).reshape(-1, 2) * unit, {})
-            goal = spot - centre
-            found = 1e3 * (axes.reflected(normal, sun) - goal / np.linalg.norm(goal, axis=1, keepdims=True))
-            return np.where(np.isfinite(found), found, 1e3).reshape(len(steps), -1, 3)
+    def off(x: Array) -> Array:
+        """1e3 times by how much the beam misses the spot at readings (T, 2), and beside them; (3, T, 3)."""
+        normal, centre = axes.pointing(mount, (x + steps[:, None]).reshape(-1, 2) * unit, {})
+        goal = spot - centre
+        found = 1e3 * (axes.reflected(normal, sun) - goal / np.linalg.norm(goal, axis=1, keepdims=True))
+        return np.where(np.isfinite(found), found, 1e3).reshape(len(steps), -1, 3)
 
-        x = np.tile(start / unit, (len(left), 1))
-        for _ in range(STEPS):
-            here, *beside = off(x)
-            slope = np.stack([(there - here) / SMALL for there in beside], axis=-1)
-            inner = np.einsum("tki,tkj->tij", slope, slope) + 1e-12 * np.eye(2)
-            step = np.linalg.solve(inner, np.einsum("tki,tk->ti", slope, here)[..., None])[..., 0]
-            x = x - np.clip(step, -LONGEST, LONGEST)
-        good = np.abs(off(x)[0]).max(axis=1) < 1e-4
-        if mount.actuators:
-            good &= (x >= 0).all(axis=1)
-        out[left[good]] = x[good] * unit
-    return out
-
-
-def _further(problem: Problem, predict: Predict, sigma: float, what: str, records: Records) -> NextRecording:
-    n = len(records.names)
-    order = {t: k for t, k in zip(predict.records.target, predict.target_number, strict=True)}
-    number = np.array([order.get(t, 0) for t in records.target], np.intp)
-    own = replace(predict, records=records, target_number=number, drift=np.zeros((n, 0)))
-    stub = problem_of(own, problem.catalogue, sigma)
-    many = [p for e in _steady(problem.catalogue) for p in amplitudes(e)]
-    slopes = linear.columns(stub, {}, (*stub.nuisances, *many))
-    return NextRecording(
-        kind="recording",
-        what=what,
-        covariance=np.eye(2 * n) * sigma**2,
-        nuisance={p.name: slopes[:, k] for k, p in enumerate(stub.nuisances)},
-        priors={},
-        effect={p.name: slopes[:, len(stub.nuisances) + k] for k, p in enumerate(many)},
-    )
+    x = np.repeat(starts, len(suns), axis=0)
+    for _ in range(STEPS):
+        here, *beside = off(x)
+        slope = np.stack([(there - here) / SMALL for there in beside], axis=-1)
+        inner = np.einsum("tki,tkj->tij", slope, slope) + 1e-12 * np.eye(2)
+        step = np.linalg.solve(inner, np.einsum("tki,tk->ti", slope, here)[..., None])[..., 0]
+        x = x - np.clip(step, -LONGEST, LONGEST)
+    good = np.abs(off(x)[0]).max(axis=1) < 1e-4
+    if mount.actuators:
+        good &= (x >= 0).all(axis=1)
+    good, found = good.reshape(len(starts), -1), (x * unit).reshape(len(starts), -1, 2)
+    return np.where(good.any(axis=0)[:, None], found[good.argmax(axis=0), np.arange(len(suns))], np.nan)
 
 
 def _steady(catalogue: Sequence[Effect]) -> list[Effect]:

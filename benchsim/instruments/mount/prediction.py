@@ -59,14 +59,14 @@ class Predict:
     moved: Mapping[str, Array] = field(default_factory=dict)
 
     def __call__(self, values: Values | Sequence[Values], block: int | Sequence[int]) -> Any:
-        """Of one record, (2,); of lists of values and of their records, a list of such."""
+        """Of one record, (2,); of lists of values and of their records, (T, 2)."""
         if isinstance(values, Mapping):
             return self.at([values], np.array([block]))[0]
         return self.many(values, np.asarray(block))  # type: ignore[arg-type]
 
-    def many(self, values: Sequence[Values], blocks: Sequence[int]) -> list[Array]:
-        """Of several."""
-        return list(self.at(values, np.asarray(blocks, np.intp)))
+    def many(self, values: Sequence[Values], blocks: Sequence[int]) -> Array:
+        """Of several, (T, 2)."""
+        return self.at(values, np.asarray(blocks, np.intp))
 
     def at(self, values: Sequence[Values], blocks: NDArray[np.intp]) -> Array:
         """All at once, (T, 2)."""
@@ -83,16 +83,11 @@ class Predict:
                 x[name][t] += value * unit
         number = {k: t for t, k in enumerate(distinct)}
         of = np.fromiter(map(number.__getitem__, keys), np.intp, len(keys))
-        return self.inside({name: v.take(of) for name, v in x.items()}, blocks)
-
-    def inside(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> Array:
-        """For errors in rad, mm and s, (T,) each, and record numbers (T,)."""
-        predicted, seen = self.directions(x, i)
-        out = np.einsum("tjk,tk->tj", self._plane[i], _arc(predicted - _unit(seen))) / UNITS[self.mount.unit]
-        for k, mode in enumerate(self.drift.T, 1):
-            for j, name in enumerate((f"drift.across_{k}", f"drift.up_{k}")):
-                if name in x:
-                    out[:, j] += mode.take(i) * x[name]
+        drift = [[x.pop(name, np.zeros(len(distinct))) for name in names] for names in self._drifting]
+        predicted, seen = self.directions({name: v.take(of) for name, v in x.items()}, blocks)
+        out = np.einsum("tjk,tk->tj", self._plane[blocks], _arc(predicted - _unit(seen))) / UNITS[self.mount.unit]
+        if self.drift.size:
+            out += np.einsum("tk,jkt->tj", self.drift[blocks], np.array(drift).take(of, axis=2))
         return np.where(np.isfinite(out).all(axis=1, keepdims=True), out, LOST)
 
     def directions(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -145,6 +140,11 @@ class Predict:
                 if (name := f"{each}_{k + 1}") in x:
                     out[:, axis] += x[name] * (number == k)
         return out
+
+    @cached_property
+    def _drifting(self) -> list[list[str]]:
+        """Parameters of the drift across, and up."""
+        return [[f"drift.{way}_{k + 1}" for k in range(self.drift.shape[1])] for way in ("across", "up")]
 
     @cached_property
     def _plane(self) -> Array:

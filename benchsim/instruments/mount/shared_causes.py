@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations, pairwise
+from itertools import chain, combinations, pairwise, zip_longest
 
 import numpy as np
 from scipy.special import logsumexp
@@ -155,17 +155,18 @@ def witness(name: str, session: Session, many: Sequence[Cause]) -> Witness:
     first = np.cumsum([0, *(len(part) for part in parts)])
     m = _marginal(problem, list(chain.from_iterable(parts)), np.array([f for _, f in terms]))
     common = np.arange(first[-2], first[-1]) - first[1]
-    sets, log_z, projection, gram = [], [], [], []
-    for chosen in chain.from_iterable(combinations(range(len(own)), n) for n in range(TOGETHER + 1)):
-        at = np.concatenate([np.arange(first[i + 1], first[i + 2]) - first[1] for i in chosen] or [np.zeros(0, int)])
-        inner, cross = m.gram[np.ix_(at, at)] + np.eye(len(at)), m.gram[np.ix_(at, common)]
-        both = np.linalg.solve(inner, np.column_stack([m.projection[at], cross]))
-        gain = 0.5 * m.projection[at] @ both[:, 0] - 0.5 * np.linalg.slogdet(inner)[1]
-        sets.append(tuple(own[i].name for i in chosen))
-        log_z.append(float(gain) + log_prior(sets[-1], [e.name for e in own]))
-        projection.append(m.projection[common] - cross.T @ both[:, 0])
-        gram.append(m.gram[np.ix_(common, common)] - cross.T @ both[:, 1:])
-    z, b, g = np.array(log_z), np.array(projection), np.array(gram)
+    numbers = list(chain.from_iterable(combinations(range(len(own)), n) for n in range(TOGETHER + 1)))
+    sets = [tuple(own[i].name for i in chosen) for chosen in numbers]
+    # All sets at once, small ones filled up with an amplitude of nothing.
+    gram, projection = np.pad(m.gram, (0, 1)), np.pad(m.projection, (0, 1))
+    places = [[k - first[1] for i in chosen for k in range(first[i + 1], first[i + 2])] for chosen in numbers]
+    at = np.array(list(zip_longest(*places, fillvalue=len(m.gram))), int).reshape(-1, len(sets)).T
+    inner = gram[at[:, :, None], at[:, None, :]] + np.eye(at.shape[1])
+    sides = np.concatenate([projection[at][:, :, None], gram[at[:, :, None], common]], axis=2)
+    taken = np.swapaxes(sides, 1, 2) @ np.linalg.solve(inner, sides)
+    prior = [log_prior(names, [e.name for e in own]) for names in sets]
+    z = 0.5 * taken[:, 0, 0] - 0.5 * np.linalg.slogdet(inner)[1] + prior
+    b, g = projection[common] - taken[:, 0, 1:], gram[common[:, None], common] - taken[:, 1:, 1:]
     alone = max(float((z + _integrated(b, g, at)).max()) for at in ([], *_places(many)))
     reach = z + _integrated(b, g, range(len(terms)))
     keep = np.argsort(-reach)[:MOST]
