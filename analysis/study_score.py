@@ -244,7 +244,8 @@ def stressed(cases: Sequence[Case]) -> str:
 
     def like_wander(case: Case) -> bool:
         """Of the centre line, in mm."""
-        true = case["stress"]["rms_mm"]
+        # Of 0.0196 mm along six traces their settings leave 0.0105 (5 to 95 % of 40 draws: 0.0072 to 0.0133).
+        true = 0.5 * case["stress"]["rms_mm"]
         return any(family == "c" and true / 2 <= mm <= 2 * true for family, _, _, mm in case["left"])
 
     lines = []
@@ -260,7 +261,9 @@ def stressed(cases: Sequence[Case]) -> str:
             row(f"{title}: a rest is stated with its size", mine, lambda c: bool(c["left"])),
         ]
         if kind == "wander":
-            lines.append(row(f"{title}: that size is within a factor of two of what was put in", mine, like_wander))
+            lines.append(
+                row(f"{title}: that size is within a factor of two of what settings leave of it", mine, like_wander)
+            )
     return "\n".join([*lines, found(cases)])
 
 
