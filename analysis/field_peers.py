@@ -77,10 +77,9 @@ PLATEAU = {"reduce_factor": 1e-4, "lr_min": 1e-6, "patience": 50, "threshold": 1
 
 def miss(session: Session, x: dict[str, float] | None = None) -> Array:
     """Predicted less recorded direction of every record, (n, 2) [mrad]; ``x``: further errors inside [rad, mm]."""
-    predict = predicted(session, [])
-    at = {name: np.full(1, value) for name, value in predict.stated.items()}
-    at |= {name: at.get(name, 0.0) + np.full(1, value) for name, value in (x or {}).items()}
-    return predict.inside(at, np.arange(len(session.records.names)))
+    x, number = x or {}, np.arange(len(session.records.names))
+    predict = replace(predicted(session, []), units=dict.fromkeys(x, 1.0))
+    return predict.at([x] * len(number), number)
 
 
 def peer(early: Session, angles: tuple[str, ...], lengths: tuple[str, ...] = ()) -> dict[str, float]:
