@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -195,9 +196,8 @@ def against(cases: Sequence[Case], before: Sequence[Case]) -> str:
         for line in lines:
             title, rest = line[:WIDTH].rstrip(), line[WIDTH:]
             head = head if title.startswith(" ") else title
-            if (" ≥ " in rest) != (" ≤ " in rest):
-                k, n = rest.split("(")[0].split()[0].split("/") if "/" in rest else ("0", "0")
-                out[head, title] = int(k), int(n), " ≥ " in rest
+            if held := re.match(r" *(\d+)/(\d+) .* ([≥≤]) ", rest):
+                out[head, title] = int(held[1]), int(held[2]), held[3] == "≥"
         return out
 
     now, then = (counts(table(c).splitlines()) for c in (cases, before))

@@ -113,13 +113,13 @@ class Surface:
 def columns(m: Mirrors) -> dict[str, Array]:
     """What `rays` takes of every heliostat, (n,) each; weights are of the mirrors' mean area."""
     area = m.width * m.height
-    columns = {
+    own = {
         "width": m.width, "height": m.height, "across": 1.0 * m.facets[:, 0], "up": 1.0 * m.facets[:, 1],
         "bend": 0.5 / m.focal, "cant": 0.5 / m.canting, "reach": m.reach, "passed": m.passed * area / area.mean(),
         "gloss": m.specularity, "aims": m.aims,
     }  # fmt: skip
-    columns |= {f"p{c}": m.position[:, k] for k, c in enumerate("xyz")}
-    return columns | {f"f{i}{j}": m.frame[:, i, j] for i in range(3) for j in range(3)}
+    own |= {f"p{c}": m.position[:, k] for k, c in enumerate("xyz")}
+    return own | {f"f{i}{j}": m.frame[:, i, j] for i in range(3) for j in range(3)}
 
 
 def neighbours(m: Mirrors) -> Any:

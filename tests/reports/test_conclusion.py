@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchsim.reports.conclusion import headline, leftover
+from benchsim.reports.conclusion import SETTINGS, headline, leftover
 
 KEPT = sorted((Path(__file__).parents[2] / "analysis" / "trial" / "kept" / "verdicts").glob("*/diagnosis.json"))
 
@@ -77,9 +77,38 @@ SAID = [
 ]
 
 
+def contradictions(d):
+    """Statements of a diagnosis that cannot all hold, in sentences; empty where there is none."""
+    out = []
+    found = {f["name"]: f["confidence"] for f in d["effects"]}
+    members = {n for c in d["classes"] for m in c["members"] for n in m}
+    verdict, names = d["verdict"], [f["name"] for f in d["effects"]]
+    if verdict == "nothing-missing" and (found or d["classes"]):
+        out.append("nothing is missing, and something was found")
+    if verdict == "nothing-missing" and d["probability"].get(SETTINGS, 0.0) >= 0.05:
+        out.append("nothing is missing, and the settings are further off than stated")
+    if verdict == "named" and not found:
+        out.append("named, and nothing has a name")
+    if verdict in ("named", "nothing-missing") and d["classes"]:
+        out.append(f"{verdict}, and alternatives are open")
+    if verdict == "class" and not d["classes"]:
+        out.append("alternatives are open, and there are none")
+    if verdict == "located" and not (d["location"] or {}).get("claimed"):
+        out.append("located, and no place is claimed")
+    out += [f"{n} is in a class and said for itself" for n in members & set(found)]
+    out += [f"{n} is said twice" for n in set(names) if names.count(n) > 1]
+    out += [f"{n} was found and its limit is stated" for n in d["limits"] if n.split(".")[0] in {*found}]
+    text = " ".join([headline(d), leftover(d), *d["notes"], *(f["says"] for f in d["effects"])])
+    out += [f"'{word}' in a sentence" for word in (" nan", " inf", "-inf") if word in f" {text}"]
+    suspected = [n.split(" is suspected")[0] for n in d["notes"] if " is suspected" in n]
+    out += [f"{n} is suspected and was found" for n in suspected if n in found]
+    return out
+
+
 @pytest.mark.parametrize(("d", "said"), SAID, ids=[d["verdict"] for d, _ in SAID])
 def test_the_headline_says_what_was_found_and_what_is_left(d, said):
     assert headline(d) == said
+    assert contradictions(d) == []
 
 
 def test_what_is_left_comes_with_its_size():
@@ -97,8 +126,28 @@ def test_what_is_left_comes_with_its_size():
     assert leftover(diagnosis("named", [BOW])) == ""
 
 
+@pytest.mark.parametrize(
+    "d",
+    [
+        diagnosis("nothing-missing", [BOW]),
+        diagnosis("nothing-missing", probability={"setting-errors": 0.3}),
+        diagnosis("named"),
+        diagnosis("class"),
+        diagnosis("named", [BOW], [[["coma"], ["astigmatism"]]]),
+        diagnosis("class", [BOW], [[["screen-bow"], ["coma"]]]),
+        diagnosis("located", location={"element": "camera", "claimed": False}),
+        diagnosis("named", [BOW], limits={"screen-bow": {}}),
+        diagnosis("named", [BOW], notes=["screen-bow is suspected, at a probability of 0.60."]),
+        diagnosis("named", [BOW], notes=["a margin of -inf"]),
+    ],
+)
+def test_a_contradiction_is_one(d):
+    assert contradictions(d)
+
+
 @pytest.mark.parametrize("path", KEPT, ids=[p.parent.name for p in KEPT])
-def test_every_case_of_the_published_trial_has_a_headline(path):
+def test_no_case_of_the_published_trial_contradicts_itself(path):
     """The kept verdicts of 150 concealed cases, told again by today's sentences."""
     d = json.loads(path.read_text())
+    assert [c for c in contradictions(d) if "further off" not in c] == []
     assert "nan" not in headline(d) and headline(d)[-1] == "."
