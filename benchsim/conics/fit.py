@@ -18,7 +18,7 @@ hyperbolas with a small *scatter*: on Fig. 7a e = 10.6 ± 0.1 for 1.82, which th
 
 When not to use it: on a polygon's or a distorted trace to *judge a model*. A free conic absorbs almost every effect of
 the bench; its residuals say nothing about them. Outliers: one point off by k sigma moves the curve by about
-5k/n sigma; leave them out before.
+5k/n sigma; use ``robust=True`` (breaks down above about 30 % of outliers).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from benchsim.bench import conic
 from benchsim.bench.errors import BenchsimError
 from benchsim.conics import solve
 from benchsim.conics.data import Frame, check_common, check_covariance, check_points, whitening
@@ -40,7 +41,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class ConicFit(Fitted):
-    """A conic fitted to points alone.
+    """A conic fitted to points alone; all of them are ``used``, unless ``robust``.
 
     Attributes
     ----------
@@ -55,6 +56,8 @@ def fit(
     points: ArrayLike,
     covariance: ArrayLike | None = None,
     common: ArrayLike | None = None,
+    robust: bool = False,
+    seed: int = 0,
 ) -> ConicFit:
     """Fit a conic of any kind by maximum likelihood.
 
@@ -69,6 +72,11 @@ def fit(
         Errors that the points share, such as those of the camera's pose: displacement of every point per sigma of
         each of the k independent unit errors [mm]. They are estimated with the curve and widen its covariance. Needs
         ``covariance``.
+    robust : bool
+        Drop outliers: random samples of eight points give the start, points beyond 3.5 sigma are left out until the
+        set no longer changes. With ``covariance=None`` sigma is taken from the median residual.
+    seed : int
+        Of the samples of ``robust``.
 
     Returns
     -------
@@ -77,17 +85,19 @@ def fit(
     Raises
     ------
     BenchsimError
-        Fewer than 5 points (6 without a covariance), points not finite or all in one place,
+        Fewer than 5 points (6 without a covariance, 12 with ``robust``), points not finite or all in one place,
         covariances not positive, common errors without a covariance.
     """
     estimate = covariance is None
-    x = check_points(points, 6 if estimate else 5)
+    x = check_points(points, 12 if robust else 6 if estimate else 5)
     n = len(x)
     sigma = check_covariance(covariance, n)
     k = check_common(common, n)
     if estimate and k.shape[2]:
         raise BenchsimError("common errors are weighed against the points' own; give the covariance of the points too")
-    frame = whitening(x)
+    used = _inliers(x, sigma, k, estimate, seed) if robust else np.ones(n, bool)
+
+    frame = whitening(x[used])
     m = frame.matrix
     xw, sw, kw = frame.apply(x), m @ sigma @ m.T, np.einsum("ij,njk->nik", m, k)
     if estimate:  # unit variance in the frame keeps every number of order one; the unit cancels below
@@ -95,7 +105,7 @@ def fit(
         sw = sw / unit
     else:
         unit = 1.0
-    solution, covariance_c, dof, straight, shallow = _choose(xw, sw, kw, estimate, frame)
+    solution, covariance_c, dof, straight, shallow = _choose(xw[used], sw[used], kw[used], estimate, frame)
     chi2 = solution.chi2
     scale2 = chi2 / dof if estimate else 1.0
     c, cov = solve.unit_covariance(solution.coefficients, scale2 * covariance_c)
@@ -106,7 +116,7 @@ def fit(
         curve_sigma=solve.curve_sigma(c, cov, feet, m),
         chi2=float(dof) if estimate else chi2, dof=dof, sigma_estimated=estimate,
         sigma=float(np.sqrt(scale2 / unit)) if estimate else float("nan"), straight=straight, shallow=shallow,
-        common=solution.common, converged=solution.converged,
+        used=used, common=solution.common, converged=solution.converged,
     )  # fmt: skip
 
 
@@ -135,3 +145,30 @@ def _choose(
         if bent.chi2 >= enough:  # a truly thin conic: no single bend comes near it
             return best, solve.coefficient_covariance(best), dof, False, False
     return bent, bent_covariance, dof + 2, straight, True
+
+
+def _inliers(x: Array, sigma: Array, common: Array, estimate: bool, seed: int) -> NDArray[np.bool_]:
+    """Points within 3.5 sigma of the conic that random eights' median residual prefers, re-fitted until stable."""
+    rng = np.random.default_rng(seed)
+    frame = whitening(x)
+    m = frame.matrix
+    xw, sw, kw = frame.apply(x), m @ sigma @ m.T, np.einsum("ij,njk->nik", m, common)
+
+    def distances(c: Array) -> Array:
+        g = conic.gradient(c, xw)
+        variance = np.einsum("ni,nij,nj->n", g, sw, g)
+        return np.asarray(np.abs(conic.value(c, xw)) / np.sqrt(np.maximum(variance, np.finfo(float).tiny)))
+
+    starts = [solve.taubin(xw[i], sw[i]) for i in (rng.choice(len(x), 8, replace=False) for _ in range(300))]
+    best = min(starts, key=lambda c: float(np.median(distances(c))))
+    d = distances(best)
+    keep = np.ones(len(x), bool)
+    for _ in range(20):
+        spread = max(1.4826 * float(np.median(d)), 1e-15)
+        # the first sets come from few points, whose own error adds to the noise
+        new = d <= 3.5 * (spread if estimate else max(1.0, min(spread, 3.0)))
+        if new.sum() < 12 or np.array_equal(new, keep):
+            break
+        keep = new
+        d = distances(solve.maximise(solve.taubin(xw[keep], sw[keep]), xw[keep], sw[keep], kw[keep]).coefficients)
+    return keep

@@ -33,9 +33,11 @@ class Fitted:
     curve_sigma : (n,) ndarray [mm]
         1 sigma of the curve along its normal at the feet.
     chi2 : float
-        Of the points, with the common errors' own and the parameters' priors, where there are any; equals ``dof``
+        Of the points used, with the common errors' own and the parameters' priors, where there are any; equals ``dof``
         where sigma was estimated.
     dof : int
+    used : (n,) bool ndarray
+        Points that the fit used.
     common : (k,) ndarray
         Estimated common errors of the points, in their prior sigmas.
     converged : bool
@@ -59,6 +61,7 @@ class Fitted:
     curve_sigma: Array
     chi2: float
     dof: int
+    used: NDArray[np.bool_]
     common: Array
     converged: bool
     sigma_estimated: bool = False
@@ -74,8 +77,8 @@ class Fitted:
 
     @property
     def curve_rms(self) -> float:
-        """rms of ``curve_sigma`` along the points [mm]."""
-        return float(np.sqrt(np.mean(self.curve_sigma**2)))
+        """rms of ``curve_sigma`` along the used points [mm]."""
+        return float(np.sqrt(np.mean(self.curve_sigma[self.used] ** 2)))
 
     @property
     def board_coefficients(self) -> Array:

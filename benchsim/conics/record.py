@@ -40,7 +40,7 @@ def to_dict(fitted: ConicFit | SectionFit) -> dict[str, Any]:
         "chi2": _number(fitted.chi2),
         "dof": int(fitted.dof),
         "points": len(fitted.points),
-        "points_used": len(fitted.points),
+        "points_used": int(fitted.used.sum()),
         "sigma_mm": _number(fitted.sigma) if isinstance(fitted, ConicFit) else None,
         "straight": fitted.straight,
         "shallow": fitted.shallow,

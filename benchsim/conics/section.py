@@ -186,7 +186,7 @@ def fit_section(
     return SectionFit(
         coefficients=c, covariance=cov, frame=frame, points=x, feet=frame.undo(feet), residual=r,
         curve_sigma=curve_sigma(c, cov, feet, m),
-        chi2=chi2, dof=n,
+        chi2=chi2, dof=n, used=np.ones(n, bool),
         names=tuple(names) or tuple(f"p{i}" for i in range(k)), parameters=theta,
         parameter_covariance=lower @ cov_q @ lower.T, pulls=(theta - mean) / np.sqrt(np.diag(prior)),
         combinations=directions.T, remaining=np.sqrt(left), common=eta, converged=converged,

@@ -158,6 +158,20 @@ def test_common_errors_widen_the_covariance():
     assert np.mean(np.square(naive)) > 100
 
 
+def test_robust_start_drops_outliers():
+    rng = np.random.default_rng(8)
+    x = circle(500, stop=2.5)
+    y = x + 0.1 * rng.normal(size=x.shape)
+    bad = rng.choice(500, 100, replace=False)
+    y[bad] *= 1 + rng.uniform(0.05, 0.4, (100, 1))  # outward: a point moved along the curve would be no outlier
+    for sigma in (None, 0.1):
+        found = fit(y, sigma, robust=True)
+        assert np.sqrt(np.mean(off(found, x) ** 2)) < 3 * 0.1 * np.sqrt(5 / 400)
+        assert not np.any(found.used[bad])
+        assert found.used.sum() > 390
+    assert np.sqrt(np.mean(off(fit(y, 0.1), x) ** 2)) > 1.0
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 @pytest.mark.parametrize("sigma", [None, 0.1])
 def test_straight_line_is_no_error(noise, sigma):
