@@ -5,6 +5,7 @@
     python analysis/diagnosis_study.py run stressed --rows single,pair,clean --cases 20 --seed 3 --out out/study
     python analysis/diagnosis_study.py run foreign --rows single,clean --cases 12 --seed 4 --other "python other.py"
     python analysis/diagnosis_study.py table out/study/*.jsonl          # or analysis/study/traces-660223.jsonl.xz
+    python analysis/diagnosis_study.py pack out/study/*.jsonl           # FILE.jsonl.xz, as it is kept
 
 Pictures of the tier *foreign* are made by a program that is not this project's, called as ``OTHER TRUTH.toml FOLDER
 --seed N``: a bench file to the contract with ``[effects]`` and ``[render]``, which it turns into a recording without
@@ -29,6 +30,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
+from decimal import ROUND_DOWN, Context, Decimal
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -45,7 +47,7 @@ from benchsim import diagnosis
 from benchsim.bench.files import read as read_recording
 from benchsim.bench.model import Recording
 from benchsim.bench.settings import scaled
-from benchsim.bench.writing import write
+from benchsim.bench.writing import write, write_bytes
 from benchsim.diagnosis.linear import predict_all
 from benchsim.diagnosis.problem import Problem
 from benchsim.diagnosis.result import Diagnosis
@@ -67,6 +69,9 @@ TRACES_ONLY = {
 
 SPECKLES = (0.0, 0.8)
 """Of photographs [px]: one or the other; always the second where the row is of correlated noise."""
+
+DIGITS = 4
+"""Of numbers that are kept."""
 
 Part = dict[str, Any]
 """Of a case's line, as it comes to be known."""
@@ -317,6 +322,30 @@ def read(paths: list[Path]) -> list[dict[str, Any]]:
     return out
 
 
+def packed(cases: list[dict[str, Any]]) -> bytes:
+    """Cases as a compressed file that is kept: numbers are cut to `DIGITS` digits, probabilities to decimals.
+
+    Cut, not rounded, and as written: so none crosses a limit of the table.
+    """
+    digits, last = Context(DIGITS, ROUND_DOWN), Decimal(1).scaleb(-DIGITS)
+
+    def cut(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {k: cut(v) for k, v in value.items()}
+        if isinstance(value, list):
+            return [cut(v) for v in value]
+        return float(digits.create_decimal(repr(value))) if isinstance(value, float) else value
+
+    text = ""
+    for case in cases:
+        short = cut({k: v for k, v in case.items() if k != "probability"})
+        if "probability" in case:
+            sure = {k: Decimal(repr(p)).quantize(last, ROUND_DOWN) for k, p in case["probability"].items()}
+            short["probability"] = {k: float(p) for k, p in sure.items()}
+        text += json.dumps(short, separators=(",", ":")) + "\n"
+    return lzma.compress(text.encode(), preset=9 | lzma.PRESET_EXTREME)
+
+
 def main() -> None:
     """Run the study, or print its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -345,6 +374,8 @@ def main() -> None:
     show = sub.add_parser("table", help="print rates, confusion and reliability")
     show.add_argument("files", type=Path, nargs="+")
     show.add_argument("--against", type=Path, help="cases of a study before, of the same tier")
+    keep = sub.add_parser("pack", help="write FILE.xz, the compressed file that is kept, beside every FILE.jsonl")
+    keep.add_argument("files", type=Path, nargs="+")
     args = parser.parse_args()
     if args.command == "run":
         known = [row for row in ROWS if args.tier == "traces" or row not in TRACES_ONLY]
@@ -359,6 +390,10 @@ def main() -> None:
         own = {k: getattr(args, k) for k in ("tier", "shrink", "fresh", "other", "snr", "sampled")}
         call = partial(one, **own)
         run(call, rows, args.cases, args.seed, args.out / f"{args.tier}-{args.seed}.jsonl", args.workers)
+        return
+    if args.command == "pack":
+        for path in args.files:
+            write_bytes(path.with_name(path.name.removesuffix(".xz") + ".xz"), packed(read([path])))
         return
     cases = read(args.files)
     tell(cases, *([score.against(cases, read([args.against]))] if args.against else []))
