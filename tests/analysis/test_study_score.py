@@ -4,6 +4,7 @@ Scenario: a referee reads the study's table. Cases that ended without a verdict,
 classes without a class verdict and tiers thrown together would each make it better than the diagnosis is.
 """
 
+import json
 import re
 import sys
 
@@ -332,3 +333,21 @@ def test_a_rate_that_fell_is_put_first_beside_the_study_before(score):
     # 5 of 10 after 10 of 10: C(10, 5) / C(20, 5) of all ways to lay five misses are all in the later ten.
     assert first.startswith("p 0.016     5/10      10/10 ") and "exactly named" in first
     assert all(not t.startswith("p 0.0") or "exactly named" in t for t in rest)
+
+
+def test_no_number_crosses_a_limit_of_the_table_as_cases_are_packed(script, monkeypatch, tmp_path):
+    """Expectation: what is a hair below a limit stays below, what is on it stays on it, and the file is a tenth."""
+    study = script("diagnosis_study")
+    near = [
+        case(number=k, snr=8 - 1e-9, rival=3.0, probability={"canting": 0.0099999, "coma": 0.99}) for k in range(99)
+    ]
+    path = tmp_path / "traces-1.jsonl"
+    path.write_text("".join(json.dumps(c) + "\n" for c in near))
+    monkeypatch.setattr(sys, "argv", ["diagnosis_study.py", "pack", str(path)])
+    study.main()
+    kept = tmp_path / "traces-1.jsonl.xz"
+    first = study.read([kept])[0]
+    assert first["snr"]["canting"] == 7.999
+    assert first["rival"] == ["coma", 3.0]
+    assert first["probability"] == {"canting": 0.0099, "coma": 0.99}
+    assert kept.stat().st_size < path.stat().st_size / 10
