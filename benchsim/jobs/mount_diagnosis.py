@@ -120,6 +120,13 @@ class MountDiagnosis(Diagnosed):
             f"Records miss what was put in by {across:.3g} {unit} across and {up:.3g} {unit} up (1 sigma{of}, what a "
             f"{span} has in common included)."
         )
+        shared = mount_problem.in_common(b, self.diagnosis.values)
+        if shared > b.sigma:
+            out.append(
+                f"What the records of a {span} have in common comes to {shared:.2g} {unit} rms, more than the "
+                f"{b.sigma:.2g} {unit} by which single ones scatter: the mount wanders with time. It is counted as "
+                "noise, and hides errors of its size."
+            )
         if len(b.problem.names) < FEW and self.diagnosis.verdict == "nothing-missing":
             out.append(
                 f"From {len(b.problem.names)} records little can be told from chance: what is missing may be as large "

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchsim.bench.errors import BenchsimError
 from benchsim.diagnosis import linear
 from benchsim.diagnosis.evidence import amplitudes
-from benchsim.diagnosis.problem import Effect, Parameter, Problem
+from benchsim.diagnosis.problem import Effect, Parameter, Problem, Values
 from benchsim.instruments.mount import effects, functions, sky
 from benchsim.instruments.mount.attachments import Form, attachments, forms
 from benchsim.instruments.mount.next_recordings import Next
@@ -277,6 +277,14 @@ def shared(mount: Mount, records: Records) -> Array:
     day = days(mount, records)
     several = [day == d for d in np.unique(day) if (day == d).sum() > 1]
     return OF_A_DAY * np.array(several, float).reshape(-1, len(day)).T
+
+
+def in_common(built: Built, values: Values) -> float:
+    """What records share (`shared`) as a diagnosis' values have it: rms of either coordinate, in the mount's unit."""
+    modes = built.sigma * shared(built.session.mount, built.session.records)
+    mode = range(1, modes.shape[1] + 1)
+    both = [modes @ np.array([values.get(f"drift.{w}_{k}", 0.0) for k in mode]) for w in ("across", "up")]
+    return float(np.sqrt(np.mean(np.square(both))))
 
 
 def days(mount: Mount, records: Records) -> NDArray[np.intp]:
