@@ -233,9 +233,10 @@ def _case(row: str, seed: int, case: int, count: int | None = None) -> dict[str,
         noise[wrong] += on.sigma * unit * rng.uniform(12, 60, (len(wrong), 1)) * direction(rng, len(wrong))
     judged = recorded(s, inside, bent, noise)
     snr = {e: float(np.linalg.norm(sight.change(v))) for e, v in truth.items()}
-    if bent is not None:
-        snr[strange] = float(np.linalg.norm(sight.through(whiten(problem, problem.covariance, bent.ravel() / unit)[0])))
     rival, lone = ("", float("inf")), float("inf")
+    if bent is not None:
+        change = sight.through(whiten(problem, problem.covariance, bent.ravel() / unit)[0])
+        snr[strange], rival = float(np.linalg.norm(change)), sight.imitation(change)
     if truth:
         rival, lone = sight.rival(values, tuple(truth)), sight.alone(values, tuple(truth))
     start = time.process_time()

@@ -411,6 +411,7 @@ def outside(cases: Sequence[Case]) -> list[str]:
     for title, low, high, bar in (("12-20", 12, 20, 0.5), ("above 20", 20, math.inf, 0.75)):
         chosen = [c for c in cases if low <= weakest(c) < high]
         lines.append(row(f"location, SNR {title}: claimed, and nothing named", chosen, places, bar))
+        lines.append(row("    of these with no rival within 5 σ", [c for c in chosen if near(c) >= 5], places, bar))
         lines += anew(chosen, low, places, bar)
     return lines
 

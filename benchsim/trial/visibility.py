@@ -101,8 +101,7 @@ class Sight:
 
     def nearest(self, values: Mapping[str, float], concealed: Sequence[str], but: Collection[str] = ()) -> Stand:
         """`rival` with its parameters, those left out whose names, joined by +, are in ``but``."""
-        sets = [{a, b} for a, b in combinations_with_replacement(self.catalogue.nodes, 2)]
-        lone = [s for s in sets if not set(concealed) <= s and "+".join(sorted(s)) not in but]
+        lone = [s for s in self._pairs() if not set(concealed) <= s and "+".join(sorted(s)) not in but]
         delta = self.change(values)
         best = self._nearest(delta, lone, Stand("", float(np.linalg.norm(delta))))
         for name in concealed if len(concealed) == 2 else ():
@@ -110,6 +109,14 @@ class Sight:
             delta, kept = self._without(values, name)
             best = self._nearest(delta, beside, best, kept)
         return best
+
+    def imitation(self, delta: Array) -> Rival:
+        """Nearest single or pair to a change of the data (`through`) that has no name of the catalogue."""
+        found = self._nearest(delta, self._pairs(), Stand("", float(np.linalg.norm(delta))))
+        return found.names, found.distance
+
+    def _pairs(self) -> list[set[str]]:
+        return [{a, b} for a, b in combinations_with_replacement(self.catalogue.nodes, 2)]
 
     def alone(self, values: Mapping[str, float], concealed: Sequence[str]) -> float:
         """Distance [sigma] of two concealed effects from the nearest of them, refitted, by itself.

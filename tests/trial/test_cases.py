@@ -50,6 +50,20 @@ def test_every_effect_is_drawn_as_generator_and_judge_take_it(bench, sight):
         }
 
 
+def test_what_has_no_name_is_as_far_from_names_as_what_they_leave_of_it(sight):
+    """Expectation: nothing is left of a pair's own change, all of what is at right angles to the catalogue, and of both
+    together that."""
+    both = sight.columns[:, [sight.catalogue.nodes[n][0].columns[0] for n in ("screen-rotation", "canting")]].sum(
+        axis=1
+    )
+    other = np.random.default_rng(5).standard_normal(len(both))
+    other -= sight.columns @ np.linalg.lstsq(sight.columns, other)[0]
+    both, other = 9 * both / np.linalg.norm(both), 7 * other / np.linalg.norm(other)
+    assert sight.imitation(both)[1] < 1e-6 * 9
+    assert sight.imitation(other)[1] == pytest.approx(7.0, rel=1e-6)
+    assert sight.imitation(both + other)[1] == pytest.approx(7.0, rel=1e-6)
+
+
 @pytest.mark.parametrize("name", draws.STRANGERS)
 def test_every_stranger_is_drawn_as_the_generator_takes_it(bench, name):
     concealed = cases.Concealed({}, draws.draw_stranger(name, bench, np.random.default_rng(1)), name)
