@@ -32,6 +32,7 @@ from benchsim.instruments.mount.prediction import STEPS
 from benchsim.instruments.mount.records import UNITS, Actuator, Mount, Records, Session, toward
 from benchsim.jobs.mount_diagnosis import diagnose_session
 from benchsim.trial.draws import as_effects, draw_effect
+from benchsim.trial.hashing import code
 from benchsim.trial.visibility import Sight
 
 Array = NDArray[np.float64]
@@ -251,7 +252,8 @@ def _case(row: str, seed: int, case: int, count: int | None = None) -> dict[str,
         if name in truth.get(f.name, {}) and size.sigma > 0 and name != "change"
     ]
     return {
-        "tier": "mounts", "row": row, "seed": seed, "case": case, "mount": f"{mount.axes} {mount.observes}", "n": n,
+        "tier": "mounts", "row": row, "seed": seed, "case": case, "code": code()[:12],
+        "mount": f"{mount.axes} {mount.observes}", "n": n,
         "truth": {"effects": truth, "stranger": strange}, "truth_element": element, "snr": snr, "rival": rival,
         "alone": lone,
         **verdict_of(d), "parameter_pulls": pulls, "aside": list(found.built.aside),

@@ -25,6 +25,7 @@ from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import wilcoxon
 
 from benchsim.diagnosis import evidence, linear
 from benchsim.diagnosis.cross_validation import FOLDS, in_turn
@@ -44,9 +45,14 @@ PER_PARAMETER = 5.0
 """Data for each number that a model fits, at least. With half as many, of sixteen heliostats three with fewer than
 twenty records were given two effects that undid each other where they had not been pointed before."""
 
-BETTER = 2.0
-"""Sigma, by the scatter of the stretches' own differences, by which one more effect has to predict better."""
+BETTER = 0.05
+"""Chance, by the signed ranks of the stretches' differences (Wilcoxon 1945, https://doi.org/10.2307/3001968), up to
+which one more effect predicts better; of fewer than five stretches all have to. By the differences' own scatter a
+change of 55 sigma would be none: it gains everything in some stretches and nothing in others."""
 
+FARTHEST = 4.0
+"""Prior sigmas, twice the cap, beyond which no size is stated, however well it predicts: of sixteen heliostats axes
+tilt by up to three, and one with wrong days was given a target seven metres beside its place, 4.6."""
 
 AS_WELL = 1.1
 """Mean loss over that of the model that predicts best, up to which the set that evidence favours is stated. With the
@@ -139,7 +145,7 @@ def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tup
 
 def gain(problem: Problem, before: Model, after: Model) -> tuple[float, float]:
     """By how much the mean loss falls, and its sigma by the scatter of the stretches."""
-    each = np.array([part.mean() for part in _parts(problem, before.losses - after.losses)])
+    each = _gains(problem, before, after)
     return float(each.mean()), float(each.std(ddof=1) / np.sqrt(len(each)))
 
 
@@ -179,9 +185,23 @@ def beside(
     return (best, together.values) if better else ((), alone.values)
 
 
+def _gains(problem: Problem, before: Model, after: Model) -> Array:
+    """By how much the mean loss of each stretch falls."""
+    return np.array([part.mean() for part in _parts(problem, before.losses - after.losses)])
+
+
+def _possible(problem: Problem, model: Model) -> bool:
+    """Whether all sizes are ones that a mount can have."""
+    own = chain.from_iterable(evidence.amplitudes(e) for e in problem.catalogue if e.name in model.effects)
+    return all(abs(model.values[p.name]) <= FARTHEST * p.sigma for p in own)
+
+
 def _better(problem: Problem, now: Model, other: Model) -> bool:
-    won, sigma = gain(problem, now, other)
-    return won > BETTER * sigma
+    if not _possible(problem, other):
+        return False
+    each = _gains(problem, now, other)
+    chance = wilcoxon(each, alternative="greater").pvalue if each.any() else 1.0
+    return bool(chance <= max(BETTER, 0.5 ** len(each)))
 
 
 def _parts(problem: Problem, per_datum: Array) -> list[Array]:

@@ -105,6 +105,15 @@ def test_a_mount_that_was_knocked_half_way_is_told_from_wrong_records():
     assert not found.built.aside
 
 
+def test_what_helps_a_quarter_of_the_records_helps():
+    """Rationale: a mount that is knocked late predicts most of its records hardly better for it, however hard.
+    Set-up: 30 stars, the last 8 after an encoder jumped by 18 arcsec, thirty times their errors. Expectation: named."""
+    session, after = night(11, n=30), night(11, n=30, IE=30.0)
+    source = np.where((np.arange(30) < 22)[:, None], session.records.source, after.records.source)
+    found = diagnose_session(replace(session, records=replace(session.records, source=source)))
+    assert [f.name for f in found.diagnosis.effects] == ["change-point"]
+
+
 def test_a_star_taken_again_and_again_is_one_witness():
     """Rationale: repeats share the errors of the moment; taken for witnesses they would make a name out of one error.
 
