@@ -56,7 +56,7 @@ def main() -> None:
         command = [sys.executable, "-m", "benchsim", "diagnose", str(args.folder / file.stem), "-o", str(out)]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"})
         _, status, used = os.wait4(process.pid, 0)
-        cost = f"{used.ru_utime + used.ru_stime:4.0f} s of CPU  {used.ru_maxrss / 1000:4.0f} MB"
+        cost = f"{used.ru_utime + used.ru_stime:4.0f} s of CPU  {used.ru_maxrss / 1024:4.0f} MiB"
         if status:
             print(f"{file.stem:16} {cost}  ended with {os.waitstatus_to_exitcode(status)}", flush=True)
             continue
