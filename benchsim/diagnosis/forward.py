@@ -138,8 +138,9 @@ def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tup
                 found = grown(other)
     first = from_these[0] if from_these else ()
     steady = first and all(n in usable and not evidence.shapes(usable[n]) for n in first)
-    if steady and few(first) and model(first, {}).losses.mean() < AS_WELL * found.losses.mean():
-        found = model(first, {})
+    if steady and few(first) and _possible(problem, model(first, {})):
+        favoured = model(first, {})
+        found = favoured if favoured.losses.mean() < AS_WELL * found.losses.mean() else found
     return nothing, found
 
 
