@@ -123,8 +123,8 @@ class MountDiagnosis(Diagnosed):
         shared = mount_problem.in_common(b, self.diagnosis.values)
         if shared > b.sigma:
             out.append(
-                f"What the records of a {span} have in common comes to {shared:.2g} {unit} rms, more than the "
-                f"{b.sigma:.2g} {unit} by which single ones scatter: the mount wanders with time. It is counted as "
+                f"What the records of a {span} have in common comes to {shared:.3g} {unit} rms, more than the "
+                f"{b.sigma:.3g} {unit} by which single ones scatter: the mount wanders with time. It is counted as "
                 "noise, and hides errors of its size."
             )
         if len(b.problem.names) < FEW and self.diagnosis.verdict == "nothing-missing":
