@@ -29,6 +29,7 @@ from benchsim.jobs.shown import Diagnosed
 from benchsim.jobs.workers import Workers, workers
 from benchsim.reports import diagnosis_pictures as pictures
 from benchsim.reports.diagnosis_text import About, listed, summary
+from benchsim.reports.quantities import counted
 
 if TYPE_CHECKING:
     from benchsim.jobs.mount_diagnosis import MountDiagnosis
@@ -204,12 +205,26 @@ def alone(result: DiagnosisResult) -> DiagnosisResult:
 
 
 def _of_a_mount(source: Path) -> bool:
-    """Whether a path holds a mount's recordings; a recording of the bench is never taken for one."""
+    """Whether a path holds a mount's recordings; a recording of the bench is never taken for one.
+
+    Raises
+    ------
+    BenchsimError
+        If it holds folders of mounts.
+    """
     if source.name == "recording.toml" or (source / "recording.toml").is_file():
         return False
     from benchsim.instruments.mount import stated
 
-    return stated.recognises(source)
+    if stated.recognises(source):
+        return True
+    inside = sorted(p for p in source.iterdir() if p.is_dir()) if source.is_dir() else []
+    if mounts := [p.name for p in inside if stated.recognises(p)]:
+        raise BenchsimError(
+            f"{source}: holds a folder for each of {counted(len(mounts), 'mount')}; name one of them ({mounts[0]}), or "
+            "judge them together by 'benchsim field'"
+        )
+    return False
 
 
 @threadpool_limits.wrap(limits=1)  # of thousands of small matrices a second thread of BLAS makes five times the work

@@ -17,7 +17,7 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis.evidence import PRESENCE, shapes
 from benchsim.diagnosis.problem import Effect, Problem
-from benchsim.diagnosis.result import Diagnosis, chosen
+from benchsim.diagnosis.result import Diagnosis, Found, chosen
 from benchsim.instruments.mount import effects, functions, shared_causes, small_terms, solar, stated, witnesses
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
@@ -153,7 +153,7 @@ class MountDiagnosis(Diagnosed):
         """Name of the first record of a mount that changed; empty where it did not."""
         step = next((f for f in self.diagnosis.effects if f.name == "change-point"), None)
         kept = self.built.session.records.names
-        return "" if step is None else kept[min(int(np.ceil(step.parameters["change"].value)), len(kept) - 1)]
+        return "" if step is None else kept[min(int(np.ceil(self.diagnosis.values["change"])), len(kept) - 1)]
 
     @property
     def changed_on(self) -> str:
@@ -330,7 +330,20 @@ def diagnose_session(
         small = small_terms.small_terms(built.problem, found.values, put)
         put = added(put, small.values)
     learnt = amended_mounts.learnt(built, found, put, fields, small)
-    return MountDiagnosis(session, built, found, put, fields, learnt, folder, small)
+    return MountDiagnosis(session, built, _counted(found, built), put, fields, learnt, folder, small)
+
+
+def _counted(d: Diagnosis, built: Built) -> Diagnosis:
+    """A diagnosis that says where the mount changed as the files count records, those that were set aside too."""
+
+    def told(f: Found) -> Found:
+        if "change" not in f.parameters:
+            return f
+        size = f.parameters["change"]
+        at = mount_problem.change_of(built.session.records, size.value)
+        return replace(f, parameters={**f.parameters, "change": replace(size, value=at)})
+
+    return replace(d, effects=tuple(told(f) for f in d.effects))
 
 
 def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:

@@ -186,7 +186,8 @@ def _found(f: Found, about: About) -> str:
 def _classes(d: Diagnosis, about: About) -> Iterator[str]:
     known = {e.name: e for e in about.catalogue}
     for c in d.classes:
-        lines = [f"One of these {len(c.members)}, {together(c.probability)}; amended.toml states the first:"]
+        stated = "none of it" if () in c.members else "the first"
+        lines = [f"One of these {len(c.members)}, {together(c.probability)}; amended.toml states {stated}:"]
         for member in c.members:
             if not member:
                 lines.append("  - nothing else" if d.effects or len(d.classes) > 1 else "  - nothing")
@@ -236,7 +237,7 @@ def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     if where.claimed:
         lines.append(_wrapped(f"Where: {place} ({odds(where.margin)} over every other element)."))
     elif several(where.element):
-        lines.append(_wrapped(f"Where: {place}, by what was named."))
+        lines.append(_wrapped(f"Where: {place}, by what explains it best."))
     else:
         lines.append(
             _wrapped(f"Where: most likely {place}; {odds(where.margin)} over the next element do not settle it.")

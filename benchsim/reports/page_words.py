@@ -76,7 +76,7 @@ def _where(d: Json, words: Vocabulary) -> str:
     if w["claimed"]:
         text = f"I{at[1:]}: {sure} over any other element."
     elif several(w["element"]):
-        text = f"I{at[1:]}, by what was named."
+        text = f"I{at[1:]}, by what explains it best."
     else:
         text = f"Most likely {at}; {sure} over the next element do not settle it."
     # A diagnosis of before this was told has no ``by_kind``.

@@ -94,7 +94,7 @@ def test_a_limit_that_holds_at_one_place_says_so(made, verdicts):
 def test_a_place_in_several_elements_is_no_question_of_odds(made):
     both = Location("mirror + screen", "", False, 0.0, ())
     text = summary(replace(made.diagnosis, location=both), about(made))
-    assert "Where: in the mirror and the screen, by what was named." in text and "odds" not in text
+    assert "Where: in the mirror and the screen, by what explains it best." in text and "odds" not in text
     assert place_text("camera", "image row") == "in the camera, as a function of image row"
 
 
@@ -102,6 +102,13 @@ def test_a_class_lists_its_members_and_what_would_split_it(made, verdicts):
     text = " ".join(summary(verdicts["class"], about(made)).split())
     assert "- screen-tilt:" in text and "- tangential-distortion with drift:" in text
     assert "Print marks. It separates them by 12.0 sigma." in text
+
+
+def test_what_is_open_beside_nothing_is_not_in_the_amended_file(made, verdicts):
+    d = verdicts["class"]
+    assert "amended.toml states the first" in " ".join(summary(d, about(made)).split())
+    doubted = replace(d, classes=(replace(d.classes[0], members=(("coma",), ())),))
+    assert "amended.toml states none of it" in " ".join(summary(doubted, about(made)).split())
 
 
 def test_few_settings_are_said_and_a_gain_within_scatter_is_no_gain(made):

@@ -64,6 +64,7 @@ _ZERO = (
     re.compile(r"\b(north|south)\b[\s-]*(?:zero|based|origin)\b"),
     re.compile(r"^\W*" + _AZ + r"\s*[:=]?\s*\b(north|south)\b"),
 )
+_OPTION = re.compile(r"\s*:\s*(north|south)\b[\s,]*(?:east|west)?\s*$")
 _QUARTER = (
     re.compile(_SIDE + _EQUALS + r"(?P<sign>[+-]?)(?P<angle>90|270)" + _DEG),
     re.compile(r"(?<![\d.])(?P<sign>[+-]?)(?P<angle>90|270)" + _DEG + _EQUALS + _SIDE),
@@ -76,9 +77,10 @@ def stated_in(text: str) -> set[Convention]:
     found = {Convention(_SIDES[m.group(1)[0]], _SIDES[m.group("side")[0]]) for m in _THROUGH.finditer(line)}
     if found:
         return found
-    poles = {_SIDES[m.group(1)[0]] for pattern in _ZERO for m in pattern.finditer(line)}
+    alone = _OPTION.match(line)
+    poles = {alone[1]} if alone else {_SIDES[m.group(1)[0]] for pattern in _ZERO for m in pattern.finditer(line)}
     quarter = next((m for pattern in _QUARTER if (m := pattern.search(line))), None)
-    if not quarter and not re.search(_AZ, line):
+    if not (alone or quarter or re.search(_AZ, line)):
         return set()
     return {Convention(pole, _growing(line, pole, quarter)) for pole in poles}
 

@@ -85,7 +85,7 @@ def _joined(lines: Sequence[str]) -> list[tuple[int, str]]:
 def _has_decimal_commas(text: str) -> bool:
     fields = _fields(text, True)[:4]
     within = any(re.search(r"\d,\d", field) for field in re.split(r"[\s;]+", text))
-    return len(fields) == 4 and within and all(_DECIMAL.fullmatch(field) for field in fields)
+    return len(fields) == 4 and within and all(_DECIMAL.fullmatch(f) or _SEXAGESIMAL.fullmatch(f) for f in fields)
 
 
 def _fields(text: str, comma: bool) -> Fields:
@@ -101,7 +101,7 @@ def _value(field: str) -> float | None:
     if match:
         return _sum(match[1] == "-", float(match[2]), float(match[3]), float(match[4] or 0))
     try:
-        return float(field)
+        return float(field.removesuffix("°"))
     except ValueError:
         return None
 

@@ -101,6 +101,8 @@ def test_a_mount_that_was_knocked_half_way_is_told_from_wrong_records():
     moved = axes.turned(star, (np.zeros(1), np.zeros(1), np.where(late, -15 * ARCSEC, 0.0)))
     found = diagnose_session(replace(session, records=replace(session.records, source=moved)))
     assert [f.name for f in found.diagnosis.effects] == ["change-point"]
+    # Between the numbers of two records, as amended.toml has it.
+    assert found.diagnosis.effects[0].parameters["change"].value == found.found["change-point"]["change"] == 25.5
     assert "Changed at record 26" in found.text()
     assert not found.built.aside
 

@@ -89,6 +89,8 @@ HEADERS = [
     ("from south through east", "! transformed AZ into tpoint convention (South = 0, East=90)"),
     ("from south through east", "Run of 3 May, azimuth from SOUTH through EAST"),
     ("from south through east", ": AZIMUTH SOUTH"),
+    ("from south through east", ": SOUTH"),
+    ("from south through west", ": SOUTH WEST"),
     ("from north through east", ": AZIMUTH NORTH EAST"),
     ("from south through east", "# azimuth measured from the south, positive eastward"),
     ("from south through east", "# azimuth not from north but from south"),
@@ -218,6 +220,8 @@ COLONS = re.sub(r"(\d+) (\d+) (\d+\.\d)", r"\1:\2:\3", PARTS)
         PARTS.replace("\n", " 12.5 ok\n"),
         COLONS,
         COLONS.replace(":", "d", 1),
+        COLONS.replace(".0", ",0"),
+        STARS.replace(" ", "° "),
     ],
 )
 def test_the_same_stars_however_they_are_written(tmp_path, text):
