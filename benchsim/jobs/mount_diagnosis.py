@@ -114,6 +114,9 @@ class MountDiagnosis(Diagnosed):
                 "All records are at nearly one place of the sky: every constant error looks alike there, so that "
                 "hardly any two effects can be told apart; add records at other hours and seasons."
             )
+        if any(name.startswith("target_") for name in self.found.get("target-position", {})):
+            known = effects.targets(b.session.mount, b.session.records)
+            out.append("Targets are " + ", ".join(f"{k}: {name}" for k, name in enumerate(known, 1)) + ".")
         across, up = self.learnt.sigma / b.session.mount.of_normal
         of, span = ("", "night") if unit == "arcsec" else (" of the beam", "day")
         out.append(
@@ -123,8 +126,8 @@ class MountDiagnosis(Diagnosed):
         shared = mount_problem.in_common(b, self.diagnosis.values)
         if shared > b.sigma:
             out.append(
-                f"What the records of a {span} have in common comes to {shared:.3g} {unit} rms, more than the "
-                f"{b.sigma:.3g} {unit} by which single ones scatter: the mount wanders with time. It is counted as "
+                f"What the records of a {span} have in common comes to {shared:.3g} {unit}{of} rms, more than "
+                f"the {b.sigma:.3g} {unit} by which single ones scatter: the mount wanders with time. It is counted as "
                 "noise, and hides errors of its size."
             )
         if len(b.problem.names) < FEW and self.diagnosis.verdict == "nothing-missing":

@@ -135,6 +135,13 @@ def odds(margin: float) -> str:
     return f"odds of {exp(max(margin, 0.0)):.3g} to 1"
 
 
+def unsettled(margin: float) -> str:
+    """Why an element that leads by so much is not claimed: by too little, or since its functions leave too much."""
+    if margin > log(1e6):
+        return f", by {odds(margin)} over the next element; but some of it no function there explains."
+    return f"; {odds(margin)} over the next element do not settle it."
+
+
 def number(n: int, noun: str) -> str:
     """``1 exposure``, ``2 exposures``."""
     return f"{n} {noun}{'' if n == 1 else 's'}"
@@ -166,7 +173,8 @@ def _size(size: Size) -> str:
 
 
 def _found(f: Found, about: About) -> str:
-    lines = [f"{f.name} ({f.element}; {CONFIDENCE[f.confidence]}; probability {percent(f.probability)})"]
+    alone = " among the catalogue's effects" if f.confidence == "provisional" else ""
+    lines = [f"{f.name} ({f.element}; {CONFIDENCE[f.confidence]}; probability {percent(f.probability)}{alone})"]
     lines.append(_wrapped(f.says, "  "))
     sizes = []
     for name, size in f.parameters.items():
@@ -239,9 +247,7 @@ def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     elif several(where.element):
         lines.append(_wrapped(f"Where: {place}, by what explains it best."))
     else:
-        lines.append(
-            _wrapped(f"Where: most likely {place}; {odds(where.margin)} over the next element do not settle it.")
-        )
+        lines.append(_wrapped(f"Where: most likely {place}{unsettled(where.margin)}"))
     shown = shown_text(where.by_kind, words, len(where.along_trace))
     if shown:
         lines.append(_wrapped(shown, "  "))

@@ -19,6 +19,7 @@ from benchsim.reports.diagnosis_text import (
     several,
     shown_text,
     together,
+    unsettled,
 )
 from benchsim.reports.limits_text import INVISIBLE, blind_text
 from benchsim.reports.quantities import readable, rounded, words_of
@@ -78,7 +79,7 @@ def _where(d: Json, words: Vocabulary) -> str:
     elif several(w["element"]):
         text = f"I{at[1:]}, by what explains it best."
     else:
-        text = f"Most likely {at}; {sure} over the next element do not settle it."
+        text = f"Most likely {at}{unsettled(inf if w['margin'] is None else w['margin'])}"
     # A diagnosis of before this was told has no ``by_kind``.
     return f"{text} {shown_text(w.get('by_kind', {}), words, len(w['along_trace']))}".rstrip()
 
