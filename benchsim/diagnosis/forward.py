@@ -50,9 +50,6 @@ BETTER = 0.05
 which one more effect predicts better; of fewer than five stretches all have to. By the differences' own scatter a
 change of 55 sigma would be none: it gains everything in some stretches and nothing in others."""
 
-FARTHEST = 4.0
-"""Prior sigmas, twice the cap, beyond which no size is stated, however well it predicts: of sixteen heliostats axes
-tilt by up to three, and one with wrong days was given a target seven metres beside its place, 4.6."""
 
 AS_WELL = 1.1
 """Mean loss over that of the model that predicts best, up to which the set that evidence favours is stated. With the
@@ -138,9 +135,8 @@ def best(problem: Problem, naming: Naming, from_these: Sequence[Effects]) -> tup
                 found = grown(other)
     first = from_these[0] if from_these else ()
     steady = first and all(n in usable and not evidence.shapes(usable[n]) for n in first)
-    if steady and few(first) and _possible(problem, model(first, {})):
-        favoured = model(first, {})
-        found = favoured if favoured.losses.mean() < AS_WELL * found.losses.mean() else found
+    if steady and few(first) and model(first, {}).losses.mean() < AS_WELL * found.losses.mean():
+        found = model(first, {})
     return nothing, found
 
 
@@ -191,15 +187,7 @@ def _gains(problem: Problem, before: Model, after: Model) -> Array:
     return np.array([part.mean() for part in _parts(problem, before.losses - after.losses)])
 
 
-def _possible(problem: Problem, model: Model) -> bool:
-    """Whether all sizes are ones that a mount can have."""
-    own = chain.from_iterable(evidence.amplitudes(e) for e in problem.catalogue if e.name in model.effects)
-    return all(abs(model.values[p.name]) <= FARTHEST * p.sigma for p in own)
-
-
 def _better(problem: Problem, now: Model, other: Model) -> bool:
-    if not _possible(problem, other):
-        return False
     each = _gains(problem, now, other)
     chance = wilcoxon(each, alternative="greater").pvalue if each.any() else 1.0
     return bool(chance <= max(BETTER, 0.5 ** len(each)))

@@ -317,6 +317,9 @@ def diagnose_session(
             break
         built = fewer
         found = diagnosis.diagnose(built.problem, lambda what, done: progress(what, 0.1 + 0.7 * done))
+    if far := witnesses.far_target(found):
+        session = replace(session, remarks=(*session.remarks, far))
+        return diagnose_session(session, folder, without=(*without, "target-position"), progress=progress)
     unit, size = session.mount.unit, float(np.sqrt(np.mean(found.residuals.sigma**2)))
     if size > WILD[unit]:
         remark = (

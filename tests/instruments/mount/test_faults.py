@@ -1,6 +1,7 @@
 """Records that do not belong to their mount, copies, and too few: a sentence or an honest verdict, never a name."""
 
 import json
+import shutil
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -206,6 +207,29 @@ def test_a_place_that_no_survey_misses_by_needs_a_second_witness(mm, confidence)
     assert found.effects == (replace(named, confidence=confidence),)
     assert bool(said) == (confidence == "provisional")
     assert not said or "2.4 m: mirror-position needs a second witness" in said[0]
+
+
+@pytest.mark.parametrize(("mm", "said"), [(300.0, ""), (-7000.0, "a target 7 m beside its place")])
+def test_a_target_hangs_near_its_place(mm, said):
+    sizes = {"target_e_1": Size(mm, 30.0, "mm")}
+    named = Found("target-position", "target", 1.0, "provisional", sizes, "It hangs elsewhere.", "Survey it.")
+    clean = diagnose_session(night(1)).diagnosis
+    assert said in witnesses.far_target(replace(clean, effects=(named,), values={**clean.values, "target_e_1": mm}))
+    assert not witnesses.far_target(replace(clean, values={**clean.values, "target_e_1": mm}))
+
+
+@real
+def test_no_target_is_stated_where_none_hangs(tmp_path):
+    """By its first twenty records, wrong days among them, a heliostat of Jülich would have its target 7 m off."""
+    source = RECORDINGS / "heliostat-juelich" / "field"
+    folder = tmp_path / "BG16"
+    shutil.copytree(source / "BG16", folder)
+    files = sorted((folder / "calibration").iterdir(), key=lambda p: int(p.name.split("_")[0].split("-")[0]))
+    for later in files[20:]:
+        later.unlink()
+    found = diagnose(folder, tmp_path / "out", tower=source / "tower-measurements.json", pictures=False)
+    assert "target-position" not in (tmp_path / "out" / "amended.toml").read_text(encoding="utf-8")
+    assert "without a second witness" in found.text()
 
 
 @real
