@@ -24,8 +24,8 @@ from diagnosis_study import read, run, tell, verdict_of
 from numpy.typing import NDArray
 
 from benchsim.diagnosis.linear import whiten
-from benchsim.diagnosis.problem import Problem
-from benchsim.instruments.mount import axes, effects, posing, sky
+from benchsim.diagnosis.problem import Effect, Problem
+from benchsim.instruments.mount import axes, effects, posing, sky, witnesses
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.next_recordings import OBLIQUITY, aimed, sun_at
 from benchsim.instruments.mount.prediction import STEPS
@@ -169,6 +169,13 @@ def displaced(direction: Array, by: Array) -> Array:
     return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
 
+def hung(effect: Effect) -> Effect:
+    """An effect as plants may have it: targets hang within a metre of their places, beyond which none is looked for."""
+    if effect.name != "target-position":
+        return effect
+    return replace(effect, parameters=tuple(replace(p, sigma=witnesses.FAR_MM / 2) for p in effect.parameters))
+
+
 def stranger(kind: str, s: Session, sigma: float, rng: np.random.Generator) -> Array:
     """Displacement of every record by a cause without a name, in the mount's unit, (n, 2)."""
     r = s.records
@@ -209,7 +216,7 @@ def _case(row: str, seed: int, case: int, count: int | None = None) -> dict[str,
     truth: dict[str, dict[str, float]] = {}
     for k in rng.choice(len(problem.catalogue), {"single": 1, "removed": 1, "pair": 2}.get(row, 0), replace=False):
         effect = problem.catalogue[int(k)]
-        drawn = draw_effect(sight, effect, rng)
+        drawn = draw_effect(sight, hung(effect), rng)
         values |= drawn
         truth |= as_effects(drawn, effect)
     of = {p.name: UNITS[p.unit] for e in problem.catalogue for p in e.parameters}

@@ -136,7 +136,7 @@ CATALOGUE: tuple[Entry, ...] = (
     Entry(
         "target-position",
         "target",
-        (Term("target_e", "mm", 0.0, 1000.0), Term("target_u", "mm", 0.0, 1000.0)),
+        (Term("target_e", "mm", 0.0, 3000.0), Term("target_u", "mm", 0.0, 3000.0)),
         "The targets hang elsewhere than stated, each by that much to the east and up.",
         "Survey the targets' marks again.",
         "plane geometry of a heliostat",
