@@ -99,13 +99,16 @@ class Likelihood:
         own = np.broadcast_to((np.log(OWN) + self.own)[:, None], (heliostats, len(many)))
         return np.logaddexp(logsumexp(z, axis=1), own).sum(axis=0) - 0.5 * (many**2).sum(axis=1)
 
+    def signal(self, at: Array, places: Sequence[int]) -> Array:
+        """What every heliostat's records show of some parameters (χ²), (H,)."""
+        only = np.where(np.isin(np.arange(len(at)), places), at, 0.0)
+        q = (softmax(self.sets(at), axis=1) * np.einsum("hmij,i,j->hm", self.gram, only, only)).sum(axis=1)
+        return np.asarray(np.maximum(q, 1e-12))
+
     def expected(self, at: Array, places: Sequence[int]) -> float:
         """How many `bears` would count if the parameters are as large as that: ln of a heliostat's ratio of likelihoods
-        is normal about half of q with variance q, where q is what its records show of them (χ² of their signal)."""
-        only = np.where(np.isin(np.arange(len(at)), places), at, 0.0)
-        q = np.maximum(
-            (softmax(self.sets(at), axis=1) * np.einsum("hmij,i,j->hm", self.gram, only, only)).sum(axis=1), 1e-12
-        )
+        is normal about half of its `signal` with that variance."""
+        q = self.signal(at, places)
         return float(norm.cdf((0.5 * q - HEARD) / np.sqrt(q)).sum())
 
     def peak(self, places: list[int]) -> tuple[float, Array, Array]:

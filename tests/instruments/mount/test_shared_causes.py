@@ -71,6 +71,14 @@ def test_what_each_has_for_itself_is_not_shared():
         assert joint(scattered, (CLOCK,), SECOND).shared == ()
 
 
+@pytest.mark.parametrize(("size", "said"), [(0.4, False), (2.0, True)])
+def test_what_no_heliostat_feels_is_not_said_of_a_thousand(size, said):
+    """All agree on a number that each knows to one prior sigma; four tenths of one would stand out by twelve sigma."""
+    rng = np.random.default_rng(9)
+    many = [witness(str(k), float(rng.normal(size)), 1.0) for k in range(1000)]
+    assert bool(joint(many, (CLOCK,), SECOND).shared) == said
+
+
 @pytest.mark.parametrize("what", ["target", "tower", "clock", "refraction", "camera"])
 def test_a_shared_cause_is_found_in_a_field_that_other_code_made(script, tmp_path, what):
     """Fourteen heliostats with errors of their own, records off by 1 mrad, days by 0.3; the sizes within 4 sigma
