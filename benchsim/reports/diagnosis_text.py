@@ -128,16 +128,20 @@ def together(p: float) -> str:
     return f"together {percent(p)}" + (", other sets more by evidence alone" if p < 0.5 else "")
 
 
+SETTLED = log(1e6)
+"""ln Z beyond which odds are told as more than a million to 1, and are not what keeps an element from being claimed."""
+
+
 def odds(margin: float) -> str:
     """A difference of ln Z as odds."""
-    if margin > log(1e6):
+    if margin > SETTLED:
         return "odds of more than a million to 1"
     return f"odds of {exp(max(margin, 0.0)):.3g} to 1"
 
 
 def unsettled(margin: float) -> str:
     """Why an element that leads by so much is not claimed: by too little, or since its functions leave too much."""
-    if margin > log(1e6):
+    if margin > SETTLED:
         return f", by {odds(margin)} over the next element; but some of it no function there explains."
     return f"; {odds(margin)} over the next element do not settle it."
 

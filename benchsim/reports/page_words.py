@@ -73,13 +73,13 @@ def _where(d: Json, words: Vocabulary) -> str:
     w = d["location"]
     if w is None:
         return ""
-    sure, at = odds(inf if w["margin"] is None else w["margin"]), place_text(w["element"], w["coordinate"])
+    margin, at = inf if w["margin"] is None else w["margin"], place_text(w["element"], w["coordinate"])
     if w["claimed"]:
-        text = f"I{at[1:]}: {sure} over any other element."
+        text = f"I{at[1:]}: {odds(margin)} over any other element."
     elif several(w["element"]):
         text = f"I{at[1:]}, by what explains it best."
     else:
-        text = f"Most likely {at}{unsettled(inf if w['margin'] is None else w['margin'])}"
+        text = f"Most likely {at}{unsettled(margin)}"
     # A diagnosis of before this was told has no ``by_kind``.
     return f"{text} {shown_text(w.get('by_kind', {}), words, len(w['along_trace']))}".rstrip()
 

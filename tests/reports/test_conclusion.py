@@ -1,13 +1,14 @@
 """What is concluded is said once, and nothing that is said contradicts another thing."""
 
 import json
+import tarfile
 from pathlib import Path
 
 import pytest
 
 from benchsim.reports.conclusion import SETTINGS, headline, leftover
 
-KEPT = sorted((Path(__file__).parents[2] / "analysis" / "trial" / "kept" / "verdicts").glob("*/diagnosis.json"))
+KEPT = Path(__file__).parents[2] / "analysis" / "trial" / "kept.tar.xz"
 
 
 def effect(name, confidence="named", **parameters):
@@ -145,9 +146,12 @@ def test_a_contradiction_is_one(d):
     assert contradictions(d)
 
 
-@pytest.mark.parametrize("path", KEPT, ids=[p.parent.name for p in KEPT])
-def test_no_case_of_the_published_trial_contradicts_itself(path):
-    """The kept verdicts of 150 concealed cases, told again by today's sentences."""
-    d = json.loads(path.read_text())
-    assert [c for c in contradictions(d) if "further off" not in c] == []
-    assert "nan" not in headline(d) and headline(d)[-1] == "."
+def test_no_case_of_the_published_trial_contradicts_itself():
+    """The kept verdicts of 150 concealed cases, two of them without one, told again by today's sentences."""
+    with tarfile.open(KEPT) as tar:
+        files = [m for m in tar if m.name.startswith("kept/verdicts/") and m.name.endswith("/diagnosis.json")]
+        kept = {m.name: json.load(tar.extractfile(m)) for m in files}
+    assert len(kept) == 148
+    for name, d in kept.items():
+        assert [c for c in contradictions(d) if "further off" not in c] == [], name
+        assert "nan" not in headline(d) and headline(d)[-1] == ".", name
