@@ -21,6 +21,7 @@ from rays_other_code import SHARED, effects_of
 
 from benchsim.diagnosis.levels import MEMBERS
 from benchsim.trial import claims
+from benchsim.trial.score import sizes_of
 
 
 def held(said: dict[str, Any], effects: dict[str, dict[str, float]]) -> bool:
@@ -31,17 +32,6 @@ def held(said: dict[str, Any], effects: dict[str, dict[str, float]]) -> bool:
         return bool(said["verdict"] == "nothing-missing")
     few = all(len(members) <= MEMBERS for members in classes)
     return few and set(named) <= set(effects) and set(effects) in claims.allowed(named, classes)
-
-
-def pulls(said: dict[str, Any], effects: dict[str, dict[str, float]]) -> list[float]:
-    """(estimate − truth)/σ of all that is named and there."""
-    return [
-        (size["value"] - effects[f["name"]][name]) / size["sigma"]
-        for f in said["effects"]
-        if f["name"] in effects
-        for name, size in f["parameters"].items()
-        if name in effects[f["name"]]
-    ]
 
 
 def main() -> None:
@@ -61,7 +51,7 @@ def main() -> None:
             print(f"{file.stem:16} {cost}  ended with {os.waitstatus_to_exitcode(status)}", flush=True)
             continue
         said = json.loads((out / "diagnosis.json").read_text())
-        far = max(map(abs, pulls(said, effects)), default=0.0)
+        far = max((abs(s["pull"]) for s in sizes_of({"zero": False, "effects": effects}, said)), default=0.0)
         names = [f["name"] for f in said["effects"]] + [
             "{" + " | ".join(map("+".join, c["members"])) + "}" for c in said["classes"]
         ]

@@ -59,7 +59,7 @@ def scored(
     """
     lacks = list(withheld)
     outcome, note = claims.cause(truth, diagnosis, lacks)
-    sizes = _sizes(truth, diagnosis)
+    sizes = sizes_of(truth, diagnosis)
     prediction = judged_prediction(diagnosis, kept_back)
     notes = [note, "judged twice" if runs == 2 else f"judged {runs} times" if runs > 2 else ""]
     snr = list(truth["snr"].values())
@@ -83,7 +83,7 @@ def scored(
     }
 
 
-def _sizes(truth: Plain, diagnosis: Plain | None) -> list[dict[str, Any]]:
+def sizes_of(truth: Plain, diagnosis: Plain | None) -> list[dict[str, Any]]:
     """Every amplitude that was named rightly and whose truth is known: estimate, truth and (estimate − truth)/σ."""
     out = []
     for e in [] if diagnosis is None or truth["zero"] else diagnosis["effects"]:
@@ -235,7 +235,7 @@ def bars(
                 bar,
             )
         )
-    out += _sizes_bars([s for t, d in every if exact(t, d) for s in _sizes(t, d)])
+    out += _sizes_bars([s for t, d in every if exact(t, d) for s in sizes_of(t, d)])
     # The first share is of names that are right, as the bar has it; a law stands for what has no name.
     told = [(t, d) for t, d in every if exact(t, d) or d["law"] is not None]
     for title, excess in (
