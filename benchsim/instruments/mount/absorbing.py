@@ -21,6 +21,8 @@ ELSEWHERE = {
     "refraction": "the sun's elevation is at fault; correct what gives the sun's place",
     "clock": "the time of the records is at fault; set the clock",
     "target-position": "targets hang elsewhere; correct the tower's file",
+    "backlash": "rigid kinematics have no number for play; drive each axis to its place from one side",
+    "thermal-growth": "rigid kinematics know no season; correct the lengths by the temperature",
     "spot-scale": "the scale of the camera that measures spots is at fault; calibrate it",
 }
 """Effects that are none of the mount's constants, and what is to be done."""
@@ -82,6 +84,7 @@ def _with(actuator: Actuator, k: int, of: Callable[[str], float], offset: float)
         stroke=actuator.stroke + of(f"length_{k}"),
         offset=actuator.offset + of(f"offset_{k}"),
         radius=actuator.radius + of(f"radius_{k}"),
+        increment=actuator.increment * (1 + of(f"increment_{k}")),
     )
     # Of what it is longer by since a change, its angle at step 0 knows nothing.
     grown = of(f"step_{k}")

@@ -106,7 +106,7 @@ def _east_west(mount: Mount, reading: Array, x: Inside) -> tuple[Array, Array]:
         (
             actuator_angle(
                 a,
-                reading[:, k] + a.increment * _of(x, f"grown_{k + 1}"),
+                reading[:, k] / (1 + _of(x, f"increment_{k + 1}")) + a.increment * _of(x, f"grown_{k + 1}"),
                 *(_of(x, f"{n}_{k + 1}") for n in ("length", "offset", "radius")),
             )
             for k, a in enumerate(mount.actuators)

@@ -42,6 +42,8 @@ class Entry:
 
 _LARA = "Lara-Cerecedo et al. 2016, https://doi.org/10.1155/2016/3158091"
 _TPOINT = "Wallace, TPOINT telescope pointing analysis"
+_PLAY = "play between motor and axis: the reading is the motor's"
+_GROWTH = "thermal expansion: 0.12 mm of a metre of steel for 10 K"
 _JUELICH = "kinematics of the Jülich heliostats as the PAINT data base states them"
 
 
@@ -114,6 +116,52 @@ CATALOGUE: tuple[Entry, ...] = (
     ),
     _actuator(
         "actuator-radius", 20.0, "The lever of an actuator is longer than stated.", "Measure the lever of each axis."
+    ),
+    Entry(
+        "encoder-increment",
+        "mount",
+        tuple(Term(f"increment_{k}", "1", 0.03, 0.03) for k in (1, 2)),
+        "An actuator takes more steps for a millimetre than stated, by that part.",
+        "Count the steps over a measured stroke.",
+        _JUELICH,
+        "east-west",
+        "spot",
+    ),
+    Entry(
+        "backlash",
+        "mount",
+        tuple(Term(f"backlash_{k}", ANGLE, 120.0, 10.0) for k in "AE"),
+        "The axes have play: each stands behind its reading by half of it, in the way in which it came.",
+        "Take up the play, or drive each axis to its place from one side.",
+        _PLAY,
+        axes="az-el",
+    ),
+    Entry(
+        "backlash",
+        "mount",
+        tuple(Term(f"backlash_{k}", "mm", 5.0, 5.0) for k in (1, 2)),
+        "The actuators have play: each is behind its steps by half of it, in the way in which it came.",
+        "Take up the play, or drive each actuator to its place from one side.",
+        _PLAY,
+        axes="east-west",
+    ),
+    Entry(
+        "thermal-growth",
+        "mount",
+        tuple(Term(f"thermal_{k}", ANGLE, 120.0, 10.0) for k in "AE"),
+        "The axes turn as the structure grows with warmth: by that for 10 K, or from the year's mean to its warmest.",
+        "Shield or model the structure; record again in another season.",
+        _GROWTH,
+        axes="az-el",
+    ),
+    Entry(
+        "thermal-growth",
+        "mount",
+        tuple(Term(f"thermal_{k}", "mm", 3.0, 3.0) for k in (1, 2)),
+        "The actuators, and what holds them, grow with warmth: by that from the year's mean to its warmest day.",
+        "Put the expansion into the controller; record again in another season.",
+        _GROWTH,
+        axes="east-west",
     ),
     Entry(
         "pivot-offset",
@@ -192,6 +240,18 @@ MOST_PLACES = 160
 """Places at which a change is looked for: with one for every record the work would grow as their square. Among a
 thousand records a change is found to three."""
 
+STAMPED_S = 60.0
+"""Prior sigma of a clock whose stamps agree with the sun that was recorded [s]: one computer wrote both, so that no
+zone is wrong, and it may still run free."""
+
+_HISTORY = ("backlash", "thermal-growth")
+
+EACH_WAY = 3
+"""Records that an axis came to from either side, below which its play is not told from its offset."""
+
+WARMTH = 0.5
+"""Range of the records' warmth (`history`) below which growth is not told from a length: 5 K, or a season."""
+
 FEWEST_FOR_CHANGE = 8
 """Records without which no change can be told from chance."""
 
@@ -216,6 +276,12 @@ def candidates(mount: Mount, records: Records, *, every: bool = False) -> tuple[
         if entry.name == "change-point" and count < FEWEST_FOR_CHANGE and not every:
             continue
         terms = [Parameter(t.name, unit(mount, t), _cap(mount, t) / 2) for t in entry.terms if _cap(mount, t) > 0]
+        if entry.name == "clock" and records.prompt:
+            terms = [replace(t, sigma=min(t.sigma, STAMPED_S)) for t in terms]
+        if entry.name in _HISTORY and not every:
+            terms = [t for t, k in zip(terms, (0, 1), strict=True) if _told(entry.name, records, k)]
+            if not terms:
+                continue
         if entry.name == "change-point":
             # Between two records each, with three or more on either side: fewer are outlying records.
             grid = changes(count)
@@ -227,6 +293,13 @@ def candidates(mount: Mount, records: Records, *, every: bool = False) -> tuple[
         population = entry.name == "target-position" and len(set(records.target)) > 1
         out.append(Effect(entry.name, entry.element, tuple(terms), entry.says, entry.remedy, random_field=population))
     return tuple(out)
+
+
+def _told(name: str, records: Records, axis: int) -> bool:
+    """Whether the order or the time of these records shows anything of an axis' play or growth."""
+    if name == "thermal-growth":
+        return records.warmth is not None and float(np.ptp(records.warmth)) >= WARMTH
+    return records.travel is not None and min((records.travel[:, axis] == way).sum() for way in (-1, 1)) >= EACH_WAY
 
 
 def changes(count: int) -> tuple[float, ...]:

@@ -63,6 +63,8 @@ class Run:
     latitude : (float, int) or None
         What the header states [deg], and in which line.
     remarks : tuple of str
+    celsius : (n,) array or None
+        Temperature at every star.
     """
 
     lines: tuple[int, ...]
@@ -71,6 +73,7 @@ class Run:
     header: Lines
     latitude: tuple[float, int] | None
     remarks: tuple[str, ...]
+    celsius: Array | None = None
 
 
 def comment_cut(text: str) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.names import printable
-from benchsim.instruments.mount import paint_heliostat, solar, stamps
+from benchsim.instruments.mount import history, paint_heliostat, solar, stamps
 from benchsim.instruments.mount.geodesy import enu
 from benchsim.instruments.mount.json_values import load, number, triple, value
 from benchsim.instruments.mount.records import Array, Mount, Records, Session
@@ -146,8 +146,14 @@ def records_of(folder: Path, tower: Path, mount: Mount) -> tuple[Records, tuple[
     spots = np.array(spot)
     said, spot_sigma = _methods(names, methods, spots, np.array(others))
     times, stamped = stamps.read([one for one, _ in found], _name(used[0].parent))
-    source, of_the_sun = solar.directions(used, np.array(seen), times, origin)
-    records = Records(names, np.array(reading), source, spots, target, times, spot_sigma, np.array(centre))
+    source, of_the_sun, prompt = solar.directions(used, np.array(seen), times, origin)
+    read_out, latitude = np.array(reading), float(np.radians(origin[0]))
+    records = Records(
+        names, read_out, source, spots, target, times, spot_sigma, np.array(centre),
+        travel=history.travel(mount, read_out, source),
+        warmth=history.season(times, latitude) if np.isfinite(times).any() else None,
+        prompt=prompt,
+    )  # fmt: skip
     _plausible(used, records, mount)
     return records, (*paths, *stamped), (*remarks, *said, *of_the_sun)
 

@@ -193,6 +193,7 @@ def written(mount: Mount, origin: Array, properties: Mapping[str, Any]) -> dict[
     kinematics["actuators"] = [
         {
             **one,
+            "increment": 1e3 * a.increment,
             "initial_stroke_length": a.stroke / 1e3,
             "offset": a.offset / 1e3 - one.get("offset_shift", 0.0),
             "pivot_radius": a.radius / 1e3 - one.get("radius_shift", 0.0),

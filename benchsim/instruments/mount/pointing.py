@@ -12,7 +12,7 @@ import numpy as np
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.names import printable
 from benchsim.bench.reading import TABLE_BYTES, read_file
-from benchsim.instruments.mount import conventions, mmt_log, tpoint
+from benchsim.instruments.mount import conventions, history, mmt_log, tpoint
 from benchsim.instruments.mount.header import Run
 from benchsim.instruments.mount.records import Array, Mount, Records, Session, toward
 
@@ -81,10 +81,13 @@ def read(path: Path) -> Session:
         for azimuth, altitude in (run.angles[:, :2].T, run.angles[:, 2:].T)
     )
     names = tuple(f"star {k + 1} (line {line})" for k, line in enumerate(run.lines))
-    records = Records(names, raw, toward(true[:, 0], true[:, 1]), np.full((len(names), 3), np.nan), ("",) * len(names))
-    return Session(
-        printable(path.stem), path, (path,), Mount("az-el", "sky", latitude=latitude), records, tuple(remarks)
-    )
+    mount, n, stars = Mount("az-el", "sky", latitude=latitude), len(names), toward(true[:, 0], true[:, 1])
+    records = Records(
+        names, raw, stars, np.full((n, 3), np.nan), ("",) * n,
+        travel=history.travel(mount, raw, stars),
+        warmth=None if run.celsius is None else history.warmth(run.celsius),
+    )  # fmt: skip
+    return Session(printable(path.stem), path, (path,), mount, records, tuple(remarks))
 
 
 def _lines(path: Path) -> list[str]:

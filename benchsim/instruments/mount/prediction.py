@@ -25,6 +25,9 @@ ABRUPT = 0.12
 STEPS = {"IA": "dIA", "IE": "dIE", "grown_1": "step_1", "grown_2": "step_2"}
 """What a change of the mount adds to, and by how much: zero points, or lengths at the same step."""
 
+INPUTS = {"A": ("IA", 0), "E": ("IE", 1), "1": ("grown_1", 0), "2": ("grown_2", 1)}
+"""Ending of a parameter that acts on one axis → what it adds to, and the axis' number among the readings."""
+
 
 @dataclass(frozen=True)
 class Predict:
@@ -114,6 +117,12 @@ class Predict:
             for name, step in STEPS.items():
                 if step in x:
                     x[name] = x.get(name, 0.0) + after * x[step]
+        for axis, (name, k) in INPUTS.items():
+            # An axis with play stands behind its reading by half of it.
+            if records.travel is not None and (play := x.get(f"backlash_{axis}")) is not None:
+                x[name] = x.get(name, 0.0) - 0.5 * records.travel[i, k] * play
+            if records.warmth is not None and (growth := x.get(f"thermal_{axis}")) is not None:
+                x[name] = x.get(name, 0.0) + records.warmth[i] * growth
         for name, value in self.moved.items():
             x[name] = x.get(name, 0.0) + value[i]
         normal, centre = axes.pointing(mount, records.reading[i], x)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -124,6 +124,12 @@ class Records:
         Error of a spot per component, as two ways of finding it differ [mm]; 0 where there is but one.
     centre : (n, 3) array, optional
         Of every record's target, as the plant states it [mm]; None where nobody does.
+    travel : (n, 2) array, optional
+        Sign of each axis' way to this record (`history.travel`); None where records have no order.
+    warmth : (n,) array, optional
+        How warm it was, by season or temperature (`history`); None where nobody states it.
+    prompt : bool
+        Whether most have stamps in UTC that agree with the recorded sun: the clock's zone is right.
     """
 
     names: tuple[str, ...]
@@ -134,6 +140,9 @@ class Records:
     when: Array | None = None
     spot_sigma: float = 0.0
     centre: Array | None = None
+    travel: Array | None = None
+    warmth: Array | None = None
+    prompt: bool = False
 
     def date(self, k: int) -> str:
         """Day of a record in UTC, as 2022-06-12; empty where nobody states it."""
@@ -144,16 +153,9 @@ class Records:
     def chosen(self, index: NDArray[np.intp] | list[int]) -> Records:
         """Some of the records."""
         i = np.asarray(index, np.intp)
-        return Records(
-            tuple(self.names[k] for k in i),
-            self.reading[i],
-            self.source[i],
-            self.spot[i],
-            tuple(self.target[k] for k in i),
-            None if self.when is None else self.when[i],
-            self.spot_sigma,
-            None if self.centre is None else self.centre[i],
-        )
+        arrays = ("reading", "source", "spot", "when", "centre", "travel", "warmth")
+        some = {name: held[i] for name in arrays if (held := getattr(self, name)) is not None}
+        return replace(self, names=tuple(self.names[k] for k in i), target=tuple(self.target[k] for k in i), **some)
 
 
 @dataclass(frozen=True)

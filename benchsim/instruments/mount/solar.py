@@ -76,12 +76,17 @@ class Check:
         return self.late - self.zone
 
     @property
+    def prompt(self) -> bool:
+        """Whether stamps and sun agree, without a whole hour between them."""
+        return bool(np.abs(self.late).max() <= SINGLE_S and np.median(np.abs(self.late)) <= PROMPT_S)
+
+    @property
     def miss(self) -> float:
         """Median angle between sun and almanac beside a zone [deg]."""
         return float(np.median(np.hypot(self.across, self.rest / 240)))
 
 
-def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -> tuple[Array, tuple[str, ...]]:
+def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -> tuple[Array, tuple[str, ...], bool]:
     """Unit vectors toward the sun as it is seen, and what is to be said of them.
 
     Parameters
@@ -100,6 +105,8 @@ def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -
     source : (n, 3) array
         East, north, up; refraction included.
     remarks : tuple of str
+    prompt : bool
+        Whether most records have stamps, and these agree with where the sun was recorded.
 
     Raises
     ------
@@ -120,7 +127,7 @@ def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -
         )
     stamped = np.flatnonzero(np.isfinite(times))
     if not len(stamped):
-        return suns[possible[0]], (_said(possible[0], "only so can the sun stand there"),)
+        return suns[possible[0]], (_said(possible[0], "only so can the sun stand there"),), False
     # All at once: the almanac takes hardly longer for hundreds of moments than for one.
     pairs = [(c, a) for c in possible for a in (True, False)]
     many, lifted = np.concatenate([suns[c][stamped] for c, _ in pairs]), np.repeat([a for _, a in pairs], len(stamped))
@@ -152,7 +159,8 @@ def directions(paths: Sequence[Path], seen: Array, times: Array, place: Array) -
             "it is recorded (median)."
         )
     names = [paths[int(k)].name for k in stamped]
-    return source, (*remarks, *_clock(names, checks[convention, not clear or apparent < true]))
+    check = checks[convention, not clear or apparent < true]
+    return source, (*remarks, *_clock(names, check)), 2 * len(stamped) > len(times) and check.prompt
 
 
 def almanac(times: Array, place: Array, *, apparent: bool | NDArray[np.bool_] = True) -> Array:

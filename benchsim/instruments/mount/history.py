@@ -1,0 +1,56 @@
+"""What the order of records and their time tell of a mount: which way its axes came, and how warm it was."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchsim.instruments.mount import sky
+from benchsim.instruments.mount.records import Array, Mount
+
+WARMEST_DAY = 200.0
+"""Days after New Year on which the air is warmest north of the equator, a month after the sun is highest."""
+
+YEAR = 365.2425
+
+KELVIN = 10.0
+"""Change of the temperature that one unit of warmth is."""
+
+
+def travel(mount: Mount, reading: Array, source: Array) -> Array:
+    """Sign of each axis' way to a record from the one before, (n, 2); 0 where the order does not show it.
+
+    It shows it within a heliostat's day (`sky.days`), since overnight the mirror is stowed, and through all a
+    telescope's night, but for an azimuth that differs by more than half a turn: nobody knows which way round it went.
+
+    Parameters
+    ----------
+    mount : Mount
+    reading, source : (n, 2) and (n, 3) array
+        All records, in the order of time.
+    """
+    way = np.diff(reading, axis=0, prepend=reading[:1])
+    if mount.observes == "spot":
+        day = sky.days(mount, source)
+        way[np.diff(day, prepend=-1) != 0] = 0.0
+    if not mount.actuators:
+        way[np.abs(way) > np.pi] = 0.0
+    return np.asarray(np.sign(way))
+
+
+def season(when: Array, latitude: float) -> Array:
+    """−1 on the coldest to 1 on the warmest day of the year, (n,); 0 where nobody states the time.
+
+    Parameters
+    ----------
+    when : (n,) array
+        Seconds since 1970-01-01 UTC; may be nan.
+    latitude : float
+        [rad]
+    """
+    turn = 2 * np.pi * (when / 86400.0 - WARMEST_DAY) / YEAR
+    return np.asarray(np.nan_to_num(np.cos(turn)) * (1.0 if latitude >= 0 else -1.0))
+
+
+def warmth(celsius: Array) -> Array:
+    """Temperature about its mean in units of `KELVIN`, (n,)."""
+    return np.asarray((celsius - celsius.mean()) / KELVIN)
