@@ -19,6 +19,7 @@ from benchsim.diagnosis import (
     new_law,
     next_experiment,
     settings,
+    verdict,
 )
 from benchsim.diagnosis.decision import Judged, judge
 from benchsim.diagnosis.degeneracy import Best
@@ -28,7 +29,7 @@ from benchsim.diagnosis.linear import factors, nuisance_posterior, predict_all, 
 from benchsim.diagnosis.naming import name
 from benchsim.diagnosis.next_experiment import Alive
 from benchsim.diagnosis.problem import Problem
-from benchsim.diagnosis.result import Class, Diagnosis, Found, Law, Left, Residuals, SplitBy
+from benchsim.diagnosis.result import Class, Diagnosis, Found, Law, Left, Residuals, Size, SplitBy
 from benchsim.diagnosis.search import MATTERS
 from benchsim.diagnosis.verdict import Findings
 
@@ -91,7 +92,7 @@ def conclude(problem: Problem, naming: Naming, progress: Progress | None = None)
         seen = replace(naming, noise=cross_validation.noise_beside(problem, naming, about, laid))
     shown = cross_validation.show(problem, many, judged.prepared)
     tell("what could be told apart", 0.93)
-    grouped, ahead = _open(problem, judged, said, found, opened)
+    grouped, ahead = _open(problem, naming, judged, said, found, opened)
     stated = on.effects == best.fit.effects
     within = best.space if stated else degeneracy.space(problem, degeneracy.about(naming.linear, on), on.setting_scale)
     sizes = detection_limits.limits(problem, within, naming.linear.names, on.effects)
@@ -125,6 +126,7 @@ def conclude(problem: Problem, naming: Naming, progress: Progress | None = None)
 
 def _open(
     problem: Problem,
+    naming: Naming,
     judged: Judged,
     said: str,
     found: Sequence[Found],
@@ -152,14 +154,26 @@ def _open(
         # All members are stated as open: what splits them is sought whichever of them it is.
         even = [replace(a, probability=1 / len(alive)) for a in alive]
         ranked = rank(even)
-        made.append(Class(members, _together(best, members, rest), ranked[0] if ranked else None))
+        sizes = tuple(_sizes(problem, (judged.on, *naming.fits), m, rest) for m in members)
+        stated = bool(members[0]) and {*members[0]} <= {*judged.on.effects, settings.NAME}
+        first = ranked[0] if ranked else None
+        made.append(Class(members, _together(best, members, rest), first, sizes, stated))
     if unnamed:
         top = sorted((h for h in best.hypotheses.log_evidence.items() if h[0]), key=lambda h: -h[1])
         everyone = _alive(best, [h for h, _ in top[: levels.MEMBERS]])
     elif not groups:
         own = best.fit.effects
         everyone = _alive(best, (own, tuple(e for e in own if e not in doubt)))
-    return tuple(made), rank(everyone)
+    # What is open is one class: what to record next is what tells its members apart.
+    return tuple(made), ranked if len(made) == 1 and not unnamed else rank(everyone)
+
+
+def _sizes(problem: Problem, fits: Sequence[Fit], member: Effects, rest: Effects) -> dict[str, Size]:
+    """Of a member's effects, from the first fit of just these and the rest that converged."""
+    whole = {*member, *rest} - {settings.NAME}
+    fit = next((f for f in fits if f.converged and set(f.effects) == whole), None)
+    own = [e for e in problem.catalogue if e.name in member]
+    return {k: v for e in own for k, v in verdict.sizes(e, fit).items()} if fit is not None else {}
 
 
 def _together(best: Best, members: Sequence[Effects], rest: Effects) -> float:

@@ -51,11 +51,17 @@ class SplitBy:
 
 @dataclass(frozen=True)
 class Class:
-    """Alternatives that the data cannot tell apart: each member a set of effects, the most probable first."""
+    """Alternatives that the data cannot tell apart: each member a set of effects, the most probable first.
+
+    ``sizes``: of every member the parameters of its effects, as they are fitted beside all else that is stated; empty
+    where that was not fitted. ``stated``: the amended file has the first of them in it.
+    """
 
     members: tuple[tuple[str, ...], ...]
     probability: float
     split_by: SplitBy | None
+    sizes: tuple[Mapping[str, Size], ...] = ()
+    stated: bool = False
 
 
 @dataclass(frozen=True)
@@ -252,5 +258,5 @@ def _plain(x: Any) -> Any:
 
 
 def chosen(d: Diagnosis) -> tuple[str, ...]:
-    """Effects of the most probable member of every class: one of its alternatives, not a decision."""
-    return tuple(dict.fromkeys(name for c in d.classes if c.members for name in c.members[0]))
+    """Effects of the first member of every class that is stated: one of its alternatives, not a decision."""
+    return tuple(dict.fromkeys(name for c in d.classes if c.stated for name in c.members[0]))

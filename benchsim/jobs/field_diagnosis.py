@@ -27,6 +27,7 @@ from benchsim.bench.names import file_name
 from benchsim.bench.paths import inside
 from benchsim.bench.reading import TABLE_BYTES, file_hash, load_json, read_file
 from benchsim.bench.writing import write_csv, write_text
+from benchsim.diagnosis.result import Size
 from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, wrong_days
 from benchsim.instruments.mount.field_likelihood import Witness
 from benchsim.instruments.mount.records import UNITS, Session
@@ -38,7 +39,7 @@ from benchsim.jobs.output import begun_folder, default_folder
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.shown import Shown
 from benchsim.reports import page
-from benchsim.reports.quantities import counted
+from benchsim.reports.quantities import counted, rounded
 
 FORMAT = "benchsim-field/1"
 
@@ -342,6 +343,10 @@ def _row(heliostat: Heliostat, session: Session, result: MountDiagnosis) -> dict
         + [" or ".join("+".join(m) or "nothing" for m in c.members) for c in d.classes],
         "effects": [asdict(f) for f in d.effects],
         "classes": [[list(m) for m in c.members] for c in d.classes],
+        "sizes": [
+            *(_sized(f.name, f.parameters, "") for f in d.effects),
+            *(_sized(" + ".join(c.members[0]), c.sizes[0], "if ") for c in d.classes if c.sizes and c.sizes[0]),
+        ],
         **{f"miss_{w}_mrad": float(np.nanmedian(x)) for w, x in angle.items()},
         # The beam turns by twice the normal's angle.
         **{f"miss_{w}_m": float(np.nanmedian(2 * UNITS["mrad"] * x * distance)) / 1e3 for w, x in angle.items()},
@@ -352,6 +357,11 @@ def _row(heliostat: Heliostat, session: Session, result: MountDiagnosis) -> dict
         "next": d.next[0].what if d.next else "",
         "page": f"{heliostat.name}/report.html",
     }
+
+
+def _sized(name: str, sizes: Mapping[str, Size], perhaps: str) -> str:
+    """``if clock: dt = 18 ± 5 s``."""
+    return f"{perhaps}{name}: " + ", ".join(f"{k} = {rounded(s.value, s.sigma, s.unit)}" for k, s in sizes.items())
 
 
 def sentence(heliostat: Heliostat, error: Any) -> str:
@@ -371,11 +381,7 @@ def _write(found: FieldDiagnosis, folder: Path) -> None:
         flat = {
             **row,
             "causes": "; ".join(row["causes"]),
-            "sizes": "; ".join(
-                f"{k} = {p['value']:.4g} ± {p['sigma']:.2g} {p['unit']}"
-                for e in row["effects"]
-                for k, p in e["parameters"].items()
-            ),
+            "sizes": "; ".join(row["sizes"]),
             "set_aside": "; ".join(row["set_aside"]),
         }
         table.append([flat[c] for c in COLUMNS])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,14 +17,14 @@ from benchsim.bench.errors import BenchsimError
 from benchsim.bench.writing import write_text
 from benchsim.diagnosis.evidence import PRESENCE, shapes
 from benchsim.diagnosis.problem import Effect, Problem
-from benchsim.diagnosis.result import Diagnosis, Found, chosen
-from benchsim.instruments.mount import effects, functions, shared_causes, small_terms, solar, stated, witnesses
+from benchsim.diagnosis.result import Diagnosis, Size, chosen
+from benchsim.instruments.mount import effects, functions, shared_causes, small_terms, stated, witnesses
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.problem import Built
 from benchsim.instruments.mount.records import UNITS, Function, Learnt, Session, added
 from benchsim.instruments.mount.shared_causes import Shared
 from benchsim.instruments.mount.small_terms import SmallTerms
-from benchsim.jobs import amended_mounts, mount_page
+from benchsim.jobs import amended_mounts, mount_page, mount_remarks
 from benchsim.jobs.output import wanted_folder, written
 from benchsim.jobs.progress import Progress, silent
 from benchsim.jobs.reporting import report
@@ -36,9 +36,6 @@ from benchsim.reports.vocabulary import mount as vocabulary
 
 ROUNDS = 2
 """Times at most that outlying records are looked for about a fit, and the rest diagnosed anew."""
-
-NARROW_DEG = 10.0
-"""Angle that the records span on the sky below which a remark is due."""
 
 WILD = {"mrad": 20.0, "arcsec": 60.0}
 """Errors of a single record, beside everything that was fitted, above which nothing is believed: noise is estimated
@@ -52,9 +49,6 @@ SMALL = (
     "It states small values of all other terms too, none of which was found, and what was found as it is fitted beside "
     "them: records left out are predicted better so."
 )
-
-FEW = 8
-"""Records below which it means little that nothing was found."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,51 +94,7 @@ class MountDiagnosis(Diagnosed):
     @cached_property
     def remarks(self) -> tuple[str, ...]:
         """What limits the conclusion, one sentence each."""
-        b, unit = self.built, self.built.session.mount.unit
-        out = [*self.session.remarks, *b.remarks]
-        if unit == "arcsec":
-            (ia, more), (ie, less) = self.encoder_zeros
-            out.append(
-                f"The encoders' zeros are fitted in every hypothesis: IA = {ia:.2f} ± {more:.2f}, IE = {ie:.2f} ± "
-                f"{less:.2f} arcsec (true less read)."
-            )
-        sun = b.session.records.source
-        if np.degrees(np.arccos(np.clip((sun @ sun.T).min(), -1.0, 1.0))) < NARROW_DEG:
-            out.append(
-                "All records are at nearly one place of the sky: every constant error looks alike there, so that "
-                "hardly any two effects can be told apart; add records at other hours and seasons."
-            )
-        if any(name.startswith("target_") for name in self.found.get("target-position", {})):
-            known = effects.targets(b.session.mount, b.session.records)
-            out.append("Targets are " + ", ".join(f"{k}: {name}" for k, name in enumerate(known, 1)) + ".")
-        across, up = self.learnt.sigma / b.session.mount.of_normal
-        of, span = ("", "night") if unit == "arcsec" else (" of the beam", "day")
-        out.append(
-            f"Records miss what was put in by {across:.3g} {unit} across and {up:.3g} {unit} up (1 sigma{of}, what a "
-            f"{span} has in common included)."
-        )
-        shared = mount_problem.in_common(b, self.diagnosis.values)
-        if shared > b.sigma:
-            out.append(
-                f"What the records of a {span} have in common comes to {shared:.3g} {unit}{of} rms, more than "
-                f"the {b.sigma:.3g} {unit} by which single ones scatter: the mount wanders with time. It is counted as "
-                "noise, and hides errors of its size."
-            )
-        if len(b.problem.names) < FEW and self.diagnosis.verdict == "nothing-missing":
-            out.append(
-                f"From {len(b.problem.names)} records little can be told from chance: what is missing may be as large "
-                "as the residuals; add records."
-            )
-        clock = next((f.parameters["dt"] for f in self.diagnosis.effects if f.name == "clock"), None)
-        if clock is not None and (zone := solar.zone(-clock.value)):
-            out.append(f"{zone}: so the spots have it (dt = {clock.value:.0f} ± {clock.sigma:.0f} s).")
-        if self.changed_at:
-            # Counted as the files do, records that were set aside among them.
-            number = self.session.records.names.index(self.changed_at) + 1
-            day = f" ({self.changed_on})" if self.changed_on else ""
-            since = f"from {self.changed_at}{day} on the mount is another"
-            out.append(f"Changed at record {number}: {since}; diagnose both parts apart.")
-        return tuple(out)
+        return tuple(mount_remarks.remarks(self))
 
     @property
     def claimed(self) -> set[str]:
@@ -153,10 +103,11 @@ class MountDiagnosis(Diagnosed):
 
     @property
     def changed_at(self) -> str:
-        """Name of the first record of a mount that changed; empty where it did not."""
-        step = next((f for f in self.diagnosis.effects if f.name == "change-point"), None)
+        """Name of the first record after the change that ``amended.toml`` states; empty where it states none."""
+        if "change-point" not in self.claimed or "change" not in self.diagnosis.values:
+            return ""
         kept = self.built.session.records.names
-        return "" if step is None else kept[min(int(np.ceil(self.diagnosis.values["change"])), len(kept) - 1)]
+        return kept[min(int(np.ceil(self.diagnosis.values["change"])), len(kept) - 1)]
 
     @property
     def changed_on(self) -> str:
@@ -175,19 +126,7 @@ class MountDiagnosis(Diagnosed):
     @property
     def lost(self) -> tuple[str, ...]:
         """Records that were set aside, one sentence for each and for each run of neighbours."""
-        records, aside = self.session.records, np.sort([self.session.records.names.index(n) for n in self.built.aside])
-        out = []
-        for run in np.split(aside, np.flatnonzero(np.diff(aside) > 1) + 1) if len(aside) else ():
-            first, last = (f"{records.names[k]}{f' ({day})' if (day := records.date(k)) else ''}" for k in run[[0, -1]])
-            which = (
-                f"{first} lies apart from all others"
-                if len(run) == 1
-                else (f"{len(run)} records in a row, {first} to {last}, lie apart from those before and after")
-            )
-            errors = f"(errors {self.built.sigma:.3g} {self.session.mount.unit})"
-            was = "was" if len(run) == 1 else "were"
-            out.append(f"{which} by more than chance allows, and {was} set aside {errors}.")
-        return tuple(out)
+        return tuple(mount_remarks.lost(self))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for ``diagnosis.json``."""
@@ -342,14 +281,17 @@ def diagnose_session(
 def _counted(d: Diagnosis, built: Built) -> Diagnosis:
     """A diagnosis that says where the mount changed as the files count records, those that were set aside too."""
 
-    def told(f: Found) -> Found:
-        if "change" not in f.parameters:
-            return f
-        size = f.parameters["change"]
-        at = mount_problem.change_of(built.session.records, size.value)
-        return replace(f, parameters={**f.parameters, "change": replace(size, value=at)})
+    def told(sizes: Mapping[str, Size]) -> Mapping[str, Size]:
+        if "change" not in sizes:
+            return sizes
+        at = mount_problem.change_of(built.session.records, sizes["change"].value)
+        return {**sizes, "change": replace(sizes["change"], value=at)}
 
-    return replace(d, effects=tuple(told(f) for f in d.effects))
+    return replace(
+        d,
+        effects=tuple(replace(f, parameters=told(f.parameters)) for f in d.effects),
+        classes=tuple(replace(c, sizes=tuple(map(told, c.sizes))) for c in d.classes),
+    )
 
 
 def _withdrawn(d: Diagnosis, problem: Problem) -> Diagnosis:

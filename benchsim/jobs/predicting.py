@@ -94,8 +94,9 @@ class Prediction(Shown):
 
     @property
     def coverage(self) -> float | None:
-        """Part of the misses that lie within their predicted sigma, 0.68 being expected; None: none is predicted."""
-        known = [r for r in self.counted if math.isfinite(r.sigma_mrad)]
+        """Part of the misses that lie within their predicted sigma, 0.68 being expected; None: none is predicted, or
+        all were learnt from."""
+        known = [r for r in self.counted if math.isfinite(r.sigma_mrad) and not r.learnt]
         return float(np.mean([r.miss_mrad <= r.sigma_mrad for r in known])) if known else None
 
     def as_dict(self) -> dict[str, Any]:

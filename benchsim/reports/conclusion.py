@@ -51,8 +51,8 @@ def headline(d: Json, words: Vocabulary = BENCH) -> str:
             parts.append(f"Something is missing from the simulation, and {count}: {listed(found)}.")
         case "named":
             parts.append(f"Something is missing from the simulation: {_each(d, found)}.")
-        case "class" if not found and any([] in c["members"] for c in d["classes"]):
-            choice = next(c["members"] for c in d["classes"] if [] in c["members"])
+        case "class" if not found and d["classes"] and all([] in c["members"] for c in d["classes"]):
+            choice = d["classes"][0]["members"]
             others = " or ".join(" with ".join(m) for m in choice if m)
             parts.append(f"These {words.recordings} cannot tell whether something is missing: nothing, or {others}.")
         case "class":

@@ -187,6 +187,8 @@ class _Class(Form):
     members: list[list[Text]]
     probability: Chance
     split_by: _Split | None
+    sizes: list[dict[Text, _Size]] = Field(default_factory=list)
+    stated: bool | None = None
 
 
 class _Limit(Form):

@@ -8,14 +8,13 @@ from typing import Any
 
 from benchsim.reports.conclusion import CONFIDENCE, SETTINGS, gathered, headline, leftover, listed
 from benchsim.reports.diagnosis_text import (
-    OVERSTATED,
     SIMULATION,
     below_zero,
+    gained,
     number,
     odds,
     percent,
     place_text,
-    removed,
     several,
     shown_text,
     together,
@@ -123,15 +122,8 @@ def _left_out(d: Json, words: Vocabulary) -> str:
     if d["verdict"] == "nothing-missing":
         missed = f"Beyond noise and setting errors they miss by an excess χ² of {_chi2(before)} ± {sigma:.0f}"
         return f"{start}{missed}{below_zero(before, sigma, words)}."
-    text = start + (
-        f"Their misfit beyond noise and setting errors (excess χ²) falls from {_chi2(before)} to {_chi2(after)} "
-        f"(± {sigma:.0f})"
-    )
-    if after < -OVERSTATED * sigma:
-        return text + "; below zero by more than its scatter: the noise is overstated, and no gain can be given."
-    if h["fraction_removed"] is not None and before > 2 * sigma:
-        return text + f": {removed(h['fraction_removed'])} of it is removed{below_zero(after, sigma, words)}."
-    return text + "; before, it was within its scatter, so that these recordings show no gain."
+    found = minus(gained(before, after, sigma, words))
+    return f"{start}Their misfit beyond noise and setting errors (excess χ²) {found}"
 
 
 def _chi2(x: float) -> str:

@@ -28,6 +28,8 @@ class Vocabulary:
         Axis of their drawings.
     distance : str
         What a residual is.
+    of : str
+        After residuals, what turns by them.
     """
 
     kinds: Mapping[str, tuple[str, str]]
@@ -39,6 +41,7 @@ class Vocabulary:
     unit: str
     along: str
     distance: str
+    of: str = ""
 
     def of_kind(self, kind: str) -> Vocabulary:
         """The same for residuals of another kind of datum than the first."""
@@ -77,6 +80,7 @@ def mount(unit: str) -> Vocabulary:
         unit=unit,
         along="number of the record",
         distance="direction recorded less predicted",
+        of=" of the beam" if unit == "mrad" else "",
     )
 
 

@@ -53,7 +53,7 @@ def test_what_was_found_is_held_to_what_is_physical(recording):
 
 
 def test_of_a_class_the_most_probable_member_is_put_in(recording):
-    rivals = Class((("screen-tilt",), ("grid-aspect",)), 0.99, None)
+    rivals = Class((("screen-tilt",), ("grid-aspect",)), 0.99, None, stated=True)
     values = {"st_y": 2.0, "st_z": -1.0, "s1.mirror_axis_1": 0.3}
     got = amended_file.amended(recording, diagnosis(classes=(rivals,), values=values))
     assert got.effects == {"screen-tilt": {"st_y": 2.0, "st_z": -1.0}}

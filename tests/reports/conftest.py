@@ -150,7 +150,11 @@ def verdicts(made):
     """One diagnosis for each verdict."""
     d = made.diagnosis
     rivals = Class(
-        (("screen-tilt",), ("tangential-distortion", "drift")), 0.991, SplitBy("observable", "Print marks", 12.0)
+        (("screen-tilt",), ("tangential-distortion", "drift")),
+        0.991,
+        SplitBy("observable", "Print marks", 12.0),
+        ({"st_y": Size(2.0, 0.1, "mrad"), "IA": Size(-1.0, 0.2, "mrad")}, {}),
+        stated=True,
     )
     return {
         "named": d,

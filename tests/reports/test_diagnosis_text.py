@@ -100,14 +100,16 @@ def test_a_place_in_several_elements_is_no_question_of_odds(made):
 
 def test_a_class_lists_its_members_and_what_would_split_it(made, verdicts):
     text = " ".join(summary(verdicts["class"], about(made)).split())
-    assert "- screen-tilt:" in text and "- tangential-distortion with drift:" in text
+    assert "- screen-tilt (turn about y" in text and "- tangential-distortion with drift:" in text
     assert "Print marks. It separates them by 12.0 sigma." in text
 
 
 def test_what_is_open_beside_nothing_is_not_in_the_amended_file(made, verdicts):
     d = verdicts["class"]
-    assert "amended.toml states the first" in " ".join(summary(d, about(made)).split())
-    doubted = replace(d, classes=(replace(d.classes[0], members=(("coma",), ())),))
+    text = " ".join(summary(d, about(made)).split())
+    assert "amended.toml states the first" in text
+    assert "screen-tilt (turn about y 2.00 ± 0.10 mrad, IA = -1.00 ± 0.20 mrad):" in text
+    doubted = replace(d, classes=(replace(d.classes[0], members=(("coma",), ()), stated=False),))
     assert "amended.toml states none of it" in " ".join(summary(doubted, about(made)).split())
 
 

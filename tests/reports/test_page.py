@@ -169,6 +169,7 @@ def test_a_gain_within_its_scatter_is_not_called_one(made, photographs):
 def test_a_class_says_its_members_and_what_would_split_it(made, verdicts, photographs):
     text = diagnosed(made, verdicts["class"], photographs).text
     assert "One of these 2 together 99.1 %; amended.toml states the first" in text
+    assert "screen-tilt (turn about y 2.00 ± 0.10 mrad, IA = −1.00 ± 0.20 mrad)" in text
     assert "tangential-distortion with drift : What tangential-distortion does. What drift does." in text
     assert "To tell them apart: Print marks. It separates them by 12.0 sigma." in text
     assert text.count("in a class") == 3
