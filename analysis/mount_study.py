@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from benchsim.diagnosis.linear import whiten
 from benchsim.diagnosis.problem import Effect, Problem
-from benchsim.instruments.mount import axes, effects, posing, sky, witnesses
+from benchsim.instruments.mount import axes, effects, history, posing, sky, witnesses
 from benchsim.instruments.mount import problem as mount_problem
 from benchsim.instruments.mount.next_recordings import OBLIQUITY, aimed, sun_at
-from benchsim.instruments.mount.prediction import STEPS
+from benchsim.instruments.mount.prediction import INPUTS, STEPS
 from benchsim.instruments.mount.records import UNITS, Actuator, Mount, Records, Session, toward
 from benchsim.jobs.mount_diagnosis import diagnose_session
 from benchsim.trial.draws import as_effects, draw_effect
@@ -83,18 +83,17 @@ def telescope(rng: np.random.Generator, n: int) -> Session:
     elevation = np.arcsin(rng.uniform(np.sin(np.radians(18)), np.sin(np.radians(84)), n))
     reading = np.column_stack([azimuth, elevation])
     latitude = float(np.radians(rng.uniform(-45, 60)))
+    mount, stars = Mount("az-el", "sky", latitude=latitude), toward(azimuth, elevation)
     records = Records(
-        tuple(f"star {k + 1}" for k in range(n)),
-        reading,
-        toward(azimuth, elevation),
-        np.full((n, 3), np.nan),
-        ("",) * n,
-    )
-    return Session("telescope", Path("telescope"), (), Mount("az-el", "sky", latitude=latitude), records)
+        tuple(f"star {k + 1}" for k in range(n)), reading, stars, np.full((n, 3), np.nan), ("",) * n,
+        travel=history.travel(mount, reading, stars),
+        warmth=history.warmth(np.linspace(0.0, rng.uniform(-12.0, 12.0), n)),
+    )  # fmt: skip
+    return Session("telescope", Path("telescope"), (), mount, records)
 
 
 def heliostat(rng: np.random.Generator, driven: bool, n: int) -> Session:
-    """Records of a year at all hours, on one to three targets of a tower to the south."""
+    """Records of a year, up to four of a day, on one to three targets of a tower to the south."""
     latitude = float(np.radians(rng.uniform(30, 52)))
     position = np.array([rng.uniform(-60e3, 60e3), rng.uniform(30e3, 160e3), rng.uniform(0, 3e3)])
     count = int(rng.integers(1, 4))
@@ -102,10 +101,14 @@ def heliostat(rng: np.random.Generator, driven: bool, n: int) -> Session:
     joints = np.zeros((3, 3))
     joints[2, 1] = 175.0
     mount = Mount("east-west" if driven else "az-el", "spot", position, joints, ACTUATORS if driven else (), latitude)
-    reading, source, spot, target = [], [], [], []
+    reading, source, spot, target, when = [], [], [], [], []
+    hours: list[float] = []
     start = np.array([[25000.0, 48000.0], [35000.0, 60000.0]]) if driven else None
     while len(reading) < n:
-        sun = sun_at(latitude, OBLIQUITY * rng.uniform(-1, 1), rng.uniform(-4.5, 4.5))
+        if not hours:
+            day, hours = rng.integers(365), sorted(rng.uniform(-4.5, 4.5, rng.integers(1, 5)), reverse=True)
+        hour = hours.pop()
+        sun = sun_at(latitude, OBLIQUITY * np.sin(2 * np.pi * (day - 80) / 365), hour)
         if sun[2] < np.sin(np.radians(12)):
             continue
         k = int(rng.integers(count))
@@ -124,8 +127,14 @@ def heliostat(rng: np.random.Generator, driven: bool, n: int) -> Session:
         source.append(sun)
         spot.append(centres[k])
         target.append(f"target {k + 1}")
+        when.append(86400.0 * day + 3600.0 * hour)
     names = tuple(str(1000 + 7 * k) for k in range(n))
-    records = Records(names, np.array(reading), np.array(source), np.array(spot), tuple(target))
+    order = np.argsort(when)
+    read, sun, place, times = (np.array(v)[order] for v in (reading, source, spot, when))
+    records = Records(
+        names, read, sun, place, tuple(target[k] for k in order), times,
+        travel=history.travel(mount, read, sun), warmth=history.season(times, latitude),
+    )  # fmt: skip
     session = Session("heliostat", Path("heliostat"), (), mount, records)
     # Steps are whole: the spot is where the nominal mount really sends the light.
     return recorded(session, {}, None, np.zeros((n, 2)))
@@ -144,6 +153,10 @@ def recorded(session: Session, inside: dict[str, Array], bent: Array | None, noi
         for name, step in STEPS.items():
             if step in x:
                 x[name] = x.get(name, 0.0) + (i > x["change"]) * x[step]
+    for axis, (name, k) in INPUTS.items():
+        back, grown = x.pop(f"backlash_{axis}", None), x.pop(f"thermal_{axis}", None)
+        x[name] = x.get(name, np.zeros(n)) - (0.0 if back is None else back * r.travel[:, k] / 2)
+        x[name] += 0.0 if grown is None else grown * r.warmth
     normal, centre = axes.pointing(mount, r.reading, x)
     moved = noise if bent is None else noise + bent
     if mount.observes == "sky":
