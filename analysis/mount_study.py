@@ -186,7 +186,7 @@ def hung(effect: Effect) -> Effect:
     """An effect as plants may have it: targets hang within a metre of their places, beyond which none is looked for."""
     if effect.name != "target-position":
         return effect
-    return replace(effect, parameters=tuple(replace(p, sigma=witnesses.FAR_MM / 2) for p in effect.parameters))
+    return replace(effect, parameters=tuple(replace(p, sigma=500 * witnesses.FAR_M) for p in effect.parameters))
 
 
 def stranger(kind: str, s: Session, sigma: float, rng: np.random.Generator) -> Array:

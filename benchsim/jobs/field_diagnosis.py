@@ -216,10 +216,10 @@ def field(
             f"does look alike to one; {shared_causes.FEWEST} or more with the same targets tell them apart."
         )
     elif not joint.shared:
-        open_ones = [" with ".join(names) or "nothing" for names, _ in joint.rivals]
+        near = len([names for names, _ in joint.rivals if names])
         remarks.append(
             "Nothing is shown that all share"
-            + (f"; these cannot be told from the best: {', '.join(open_ones)}." if open_ones else ".")
+            + (f"; {counted(near, 'set')} of causes not excluded, see rivals in field.json." if near else ".")
         )
     found = FieldDiagnosis(
         tuple(rows[h.name] for h in everyone if h.name in rows), joint, tuple(lost.values()), tuple(remarks), folder
