@@ -1,5 +1,5 @@
-"""What hangs on a mount's history, found and predicted: the way in which an actuator or an axis came to its reading, the
-season, the temperature of a night; and a stated increment that is wrong.
+"""What hangs on a mount's history, found and predicted: the way in which an actuator or an axis came to its reading,
+the season, the temperature of a night; and a stated increment that is wrong.
 
 Heliostats are made by hand (`hand_made`) under the sun of `test_sun`'s almanac, telescopes of the readings themselves:
 an actuator is longer by thermal × cos(2π (t − 200 d) / 365.2425 d), in the south shorter, and by half of its backlash
@@ -195,6 +195,16 @@ def test_without_stamps_days_are_told_by_the_sun(tmp_path):
     assert missed < 1e-3 < 1.0 < plain
 
 
+@pytest.mark.parametrize("days", [[148, 149, 150, 151], [50, 51, 52, 53]])
+def test_each_day_s_record_has_no_way_however_late_it_is(tmp_path, days):
+    """One record a day, each later by the clock than the one before; at the solstice the sun hardly tells the days."""
+    times = [on_days([d], [15 * k - 60])[0] for k, d in enumerate(days)]
+    missed, plain = agrees(tmp_path, "backlash", "backlash_2", 1.2, times)
+    assert missed < 1e-3
+    # Nothing is done by it at all.
+    assert plain < 1e-3
+
+
 def test_few_later_records_are_predicted_though_they_are_no_witnesses(tmp_path):
     """Three of a day: two ways are known, and no season."""
     for name in ("backlash", "thermal-growth"):
@@ -239,7 +249,7 @@ def test_what_is_stated_of_a_telescope_predicts_to_a_microradian(tmp_path, name,
 
 
 def test_three_records_to_either_side_are_needed_on_an_axis(tmp_path):
-    """Of a telescope whose azimuth only grows (but for two stars, or for three), while its elevation goes to and fro."""
+    """A telescope whose azimuth grows but for two stars, or for three, while its elevation goes to and fro."""
     for back, wanted in ((2, {"backlash_E"}), (3, {"backlash_A", "backlash_E"})):
         read = np.column_stack([10.0 + 8.0 * np.arange(20), 45.0 + 9.0 * (-1.0) ** np.arange(20)])
         read[3 : 3 + 4 * back : 4, 0] -= 12.0
