@@ -122,13 +122,14 @@ def test_workers_find_the_same(plant, tmp_path):
     )
 
 
-def test_a_cluster_finds_the_same(script, dask_of_tls, tmp_path):
-    """A scheduler that speaks TLS alone, and its two workers, against processes of this machine: one file."""
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_cluster_finds_the_same(script, dask_of_tls, tmp_path, workers):
+    """A scheduler that speaks TLS alone, and its two workers, against this machine: one file, what is shared in it."""
     place = tmp_path / "plant"
-    script("field_made").make(place, 3, 12, 31, ["target"])
-    field(place, tmp_path / "here", workers=2)
+    script("field_made").make(place, 3, 8, 31, ["target"])
+    field(place, tmp_path / "here", workers=workers)
     found = field(place, tmp_path / "there", scheduler=dask_of_tls)
-    assert len(found.rows) == 3 and not found.lost
+    assert len(found.rows) == 3 and found.joint.shared and not found.lost
     here, there = ((tmp_path / where / "field.json").read_text(encoding="utf-8") for where in ("here", "there"))
     assert here == there
 
