@@ -22,6 +22,7 @@ TRUE = {
     **{"IA": 12.0, "IE": -9.0, "tilt_n": -25.0, "tilt_u": 18.0, "NPAE": 6.0, "CA": -7.0, "dn": 60.0},
     **{"length_1": 2.0, "length_2": -3.0, "offset_1": 1.5, "offset_2": 0.7, "radius_1": -1.1, "radius_2": 2.1},
     **{"mirror_e": 120.0, "mirror_n": -340.0, "mirror_u": 90.0, "step_1": 0.8, "step_2": -0.5},
+    **{"increment_1": 0.002, "increment_2": -0.003},
 }
 """Sizes at which first order would be wrong by tenths of a mrad."""
 
@@ -36,6 +37,7 @@ STATED = {
     "actuator-radius": ("radius_1", "radius_2"),
     "mirror-position": ("mirror_e", "mirror_n", "mirror_u"),
     "change-point": ("step_1", "step_2"),
+    "encoder-increment": ("increment_1", "increment_2"),
 }
 
 
@@ -98,7 +100,11 @@ def test_artist_s_kinematics_point_where_the_heliostat_does(heliostat):
     data = json.loads((heliostat / "exported.json").read_text(encoding="utf-8"))
     for steps, *_ in hand.recorded(12, TRUE, 2):
         np.testing.assert_allclose(artist(data, steps), hand.pose(steps, TRUE)[0], atol=1e-12)
-    assert data["kinematics_properties"]["actuators"][0]["max_increment"] == hand.REACH[0]
+    for k, actuator in enumerate(data["kinematics_properties"]["actuators"]):
+        assert actuator["max_increment"] == hand.REACH[k]
+        assert actuator["increment"] == pytest.approx(
+            hand.ACTUATORS[k]["increment"] * (1 + TRUE[f"increment_{k + 1}"]), rel=1e-12
+        )
 
 
 def test_what_the_file_cannot_hold_is_said_twice(heliostat):
@@ -108,6 +114,8 @@ def test_what_the_file_cannot_hold_is_said_twice(heliostat):
         "refraction": {"refr": 0.5},
         "tube-flexure": {"TF": 2.0},
         "target-position": {"target_e_1": 40.0, "target_u_1": -30.0},
+        "backlash": {"backlash_1": 0.4, "backlash_2": 0.3},
+        "thermal-growth": {"thermal_1": 0.6},
     }
     hand.write_amended(heliostat / "amended.toml", "early", effects(**more), law)
     done = export(heliostat / "amended.toml", heliostat / "exported.json")
@@ -117,6 +125,8 @@ def test_what_the_file_cannot_hold_is_said_twice(heliostat):
         *more,
         "mount.elevation",
         "target_u_1 = -30 mm",
+        "backlash_2 = 0.3 mm",
+        "thermal_1 = 0.6 mm",
         "after its change at record 1500.5",
         "step_2 = -0.5 mm",
     ):

@@ -122,6 +122,18 @@ def test_workers_find_the_same(plant, tmp_path):
     )
 
 
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_cluster_finds_the_same(script, dask_of_tls, tmp_path, workers):
+    """A scheduler that speaks TLS alone, and its two workers, against this machine: one file, what is shared in it."""
+    place = tmp_path / "plant"
+    script("field_made").make(place, 3, 8, 31, ["target"])
+    field(place, tmp_path / "here", workers=workers)
+    found = field(place, tmp_path / "there", scheduler=dask_of_tls)
+    assert len(found.rows) == 3 and found.joint.shared and not found.lost
+    here, there = ((tmp_path / where / "field.json").read_text(encoding="utf-8") for where in ("here", "there"))
+    assert here == there
+
+
 def test_a_day_that_went_wrong_for_many_is_said_and_chance_is_not():
     """Set-up: 40 heliostats, 30 days of one or two records, one in fifteen set aside; then one day on which sixteen
     heliostats had theirs set aside besides. Expectation: that day alone is said; of 200 fields without it at most 7

@@ -50,7 +50,8 @@ def angle(k, steps, e):
     for key, name in (("stroke", "length"), ("offset", "offset"), ("radius", "radius")):
         a[key] += 1e-3 * e.get(f"{name}_{k + 1}", 0.0)
     grown = 1e-3 * e.get(f"step_{k + 1}", 0.0)
-    way = corner(a, a["stroke"] + grown + steps / a["increment"]) - corner(a, a["stroke"])
+    finer = 1 + e.get(f"increment_{k + 1}", 0.0)
+    way = corner(a, a["stroke"] + grown + steps / (a["increment"] * finer)) - corner(a, a["stroke"])
     first = -np.pi / 2 if k == 0 else 0.0
     return a["angle"] + first + (-way if a["clockwise"] else way) + 1e-3 * e.get(("IE", "IA")[k], 0.0)
 
@@ -173,8 +174,8 @@ def properties():
     }
 
 
-def write_records(folder, rows, first=1000):
-    """Recordings of the data base, and the plant's tower above them."""
+def write_records(folder, rows, first=1000, stamps=()):
+    """Recordings of the data base with stamps of theirs, if any, and the plant's tower above them."""
     folder.mkdir(parents=True, exist_ok=True)
     tower = {
         "power_plant_properties": {"coordinates": [LATITUDE, LONGITUDE, HEIGHT]},
@@ -188,13 +189,14 @@ def write_records(folder, rows, first=1000):
             "sun_azimuth": 180.0 - azimuth,
             "sun_elevation": elevation,
             "focal_spot": {"UTIS": geodetic(spot)},
+            **({"datetime": stamps[k]} if stamps else {}),
         }
         (folder / f"{first + k}-calibration-properties.json").write_text(json.dumps(record), encoding="utf-8")
 
 
-def write_heliostat(folder, rows=(), first=1000):
+def write_heliostat(folder, rows=(), first=1000, stamps=()):
     """A folder of recordings with the heliostat's file."""
-    write_records(folder, rows, first)
+    write_records(folder, rows, first, stamps)
     (folder / "heliostat-properties.json").write_text(json.dumps(properties()), encoding="utf-8")
     return folder
 

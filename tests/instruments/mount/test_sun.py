@@ -27,7 +27,7 @@ LATITUDE, LONGITUDE, _ = TOWER["power_plant_properties"]["coordinates"]
 TIMES = [datetime(2022, 6, 18 + k, 7 + 2 * k, 11 * k, 5, tzinfo=UTC) for k in range(6)]
 
 
-def almanac(time):
+def almanac(time, latitude=LATITUDE):
     """Azimuth from north through east and elevation of the sun without refraction [deg]."""
     n = (time - datetime(2000, 1, 1, 12, tzinfo=UTC)).total_seconds() / 86400
     g = np.radians(357.528 + 0.9856003 * n)
@@ -36,7 +36,7 @@ def almanac(time):
     ascension = np.arctan2(np.cos(tilt) * np.sin(longitude), np.cos(longitude))
     d = np.arcsin(np.sin(tilt) * np.sin(longitude))
     h = np.radians((18.697374558 + 24.06570982441908 * n) * 15 + LONGITUDE) - ascension
-    phi = np.radians(LATITUDE)
+    phi = np.radians(latitude)
     up = np.sin(phi) * np.sin(d) + np.cos(phi) * np.cos(d) * np.cos(h)
     north = np.sin(d) * np.cos(phi) - np.cos(d) * np.cos(h) * np.sin(phi)
     return np.degrees(np.arctan2(-np.cos(d) * np.sin(h), north)), np.degrees(np.arcsin(up))
