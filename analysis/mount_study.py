@@ -133,7 +133,7 @@ def heliostat(rng: np.random.Generator, driven: bool, n: int) -> Session:
     read, sun, place, times = (np.array(v)[order] for v in (reading, source, spot, when))
     records = Records(
         names, read, sun, place, tuple(target[k] for k in order), times,
-        travel=history.travel(mount, read, sun), warmth=history.season(times, latitude),
+        travel=history.travel(mount, read, sun, times), warmth=history.season(times, latitude),
     )  # fmt: skip
     session = Session("heliostat", Path("heliostat"), (), mount, records)
     # Steps are whole: the spot is where the nominal mount really sends the light.

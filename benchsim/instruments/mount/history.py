@@ -13,10 +13,10 @@ WARMEST_DAY = 200.0
 YEAR = 365.2425
 
 KELVIN = 10.0
-"""Change of the temperature that one unit of warmth is."""
+"""Change of the temperature that one unit of warmth is, from `sky.TEMPERATURE_C` on: every night has the same zero."""
 
 
-def travel(mount: Mount, reading: Array, source: Array) -> Array:
+def travel(mount: Mount, reading: Array, source: Array, when: Array | None = None) -> Array:
     """Sign of each axis' way to a record from the one before, (n, 2); 0 where the order does not show it.
 
     It shows it within a heliostat's day (`sky.days`), since overnight the mirror is stowed, and through all a
@@ -27,10 +27,12 @@ def travel(mount: Mount, reading: Array, source: Array) -> Array:
     mount : Mount
     reading, source : (n, 2) and (n, 3) array
         All records, in the order of time.
+    when : (n,) array, optional
+        Their stamps [s]; may be nan.
     """
     way = np.diff(reading, axis=0, prepend=reading[:1])
     if mount.observes == "spot":
-        day = sky.days(mount, source)
+        day = sky.days(mount, source, when)
         way[np.diff(day, prepend=-1) != 0] = 0.0
     if not mount.actuators:
         way[np.abs(way) > np.pi] = 0.0
@@ -52,5 +54,5 @@ def season(when: Array, latitude: float) -> Array:
 
 
 def warmth(celsius: Array) -> Array:
-    """Temperature about its mean in units of `KELVIN`, (n,)."""
-    return np.asarray((celsius - celsius.mean()) / KELVIN)
+    """Temperature in units of `KELVIN`, (n,)."""
+    return np.asarray((celsius - sky.TEMPERATURE_C) / KELVIN)

@@ -150,7 +150,7 @@ def records_of(folder: Path, tower: Path, mount: Mount) -> tuple[Records, tuple[
     read_out, latitude = np.array(reading), float(np.radians(origin[0]))
     records = Records(
         names, read_out, source, spots, target, times, spot_sigma, np.array(centre),
-        travel=history.travel(mount, read_out, source),
+        travel=history.travel(mount, read_out, source, times),
         warmth=history.season(times, latitude) if np.isfinite(times).any() else None,
         prompt=prompt,
     )  # fmt: skip

@@ -289,7 +289,7 @@ def in_common(built: Built, values: Values) -> float:
 
 def days(mount: Mount, records: Records) -> NDArray[np.intp]:
     """The day of every record of a heliostat (`sky.days`), (n,); each has its own where there are too few."""
-    day = sky.days(mount, records.source) if mount.observes == "spot" else np.arange(len(records.names))
+    day = sky.days(mount, records.source, records.when) if mount.observes == "spot" else np.arange(len(records.names))
     return day if day.max(initial=0) + 1 >= FEWEST_DAYS else np.arange(len(day))
 
 

@@ -55,17 +55,20 @@ def seen(mount: Mount, source: Array, x: Inside) -> Array:
     return out
 
 
-def days(mount: Mount, source: Array) -> NDArray[np.intp]:
+def days(mount: Mount, source: Array, when: Array | None = None) -> NDArray[np.intp]:
     """Number of the day of records of the sun in the order of time, (n,), from where it stood (n, 3).
 
-    A day goes on while the hour angle grows and the declination moves no further than the sun's in that time. At the
-    solstices two days may pass for one; where the latitude is not known every record has its own.
+    A day goes on while the hour angle grows and the declination moves no further than the sun's in that time, and
+    stamps [s], where there are, by no more than half a day. Without them two days may pass for one at the solstices;
+    where the latitude is not known every record has its own.
     """
     if mount.latitude is None:
         return np.arange(len(source))
     hour, declination = hour_declination(source, mount.latitude)
     later = 12 / np.pi * np.diff(hour)
     goes_on = (later > 0) & (np.abs(np.diff(declination)) <= DECLINES * later + ALIKE)
+    if when is not None:
+        goes_on &= ~(np.diff(when) > DAY["spot"] / 2)
     return np.concatenate([[0], np.cumsum(~goes_on)]).astype(np.intp)
 
 

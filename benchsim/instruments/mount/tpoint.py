@@ -134,7 +134,7 @@ def _angles(path: Path, stars: Sequence[tuple[int, Fields]]) -> Array:
     for number, fields in stars:
         count = _leading(fields)
         if count < usual:
-            broken = f"{fields[count]!r} is no number" if count < len(fields) else "there is none"
+            broken = f"{fields[count]!r} is no number" if count < len(fields) else "is missing"
             raise BenchsimError(
                 f"{path}, line {number}, column {count + 1}: {broken}, where other lines have {usual} numbers "
                 f"({COLUMNS}); mend or remove the line"

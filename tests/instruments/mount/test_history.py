@@ -101,7 +101,7 @@ def night(count, e=None, noise=0.0, seed=1, header=f"{HEADER} temp", span=16.0):
     ways = np.diff(read, axis=0, prepend=read[:1])
     signs = np.where(np.abs(ways) > 180, 0.0, np.sign(ways))
     temperature = 8.0 - 0.5 * span * np.cos(4.0 * np.arange(count) / count).round(4)
-    warm = (temperature - temperature.mean()) / 10
+    warm = (temperature - 10) / 10
     off = np.array([900.0, 30.0]) + noise * rng.standard_normal((count, 2))
     # An error on the sky; azimuths err by more the higher a star stands.
     off[:, 0] += (1 / np.cos(np.radians(read[:, 1])) - 1) * (off[:, 0] - 900.0)
