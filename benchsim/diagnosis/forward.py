@@ -282,12 +282,17 @@ def _some(parameters: Sequence[Parameter]) -> NDArray[np.bool_]:
 def _solved(target: Array, columns: Array, parameters: Sequence[Parameter], use: NDArray[np.bool_]) -> Array:
     """Where the sum is least, of residuals target − columns x, for every choice of data (s, n); (s, k)."""
     some, x, weight = _some(parameters), np.zeros((len(use), columns.shape[1])), use.astype(float)
-    number = np.arange(len(some))
+    # No two of what acts on some blocks alone act on one datum: their own products are diagonal, and they go first.
+    local, rest = columns[:, some], columns[:, ~some]
     for _ in range(ROUNDS):
-        weighted = columns.T * weight[:, None, :]
-        gram = weighted @ columns
-        gram[:, number, number] += np.where(some, (1 + x**2) ** -0.5, 1.0)
-        before, x = x, np.linalg.solve(gram, (weighted @ target)[:, :, None])[:, :, 0]
+        own = weight @ local**2 + (1 + x[:, some] ** 2) ** -0.5
+        across, heard = (local.T * weight[:, None, :]) @ rest, (weight * target) @ local
+        weighted = rest.T * weight[:, None, :]
+        gram = weighted @ rest + np.eye(rest.shape[1]) - across.transpose(0, 2, 1) @ (across / own[:, :, None])
+        right = weighted @ target - np.einsum("skg,sk->sg", across, heard / own)
+        before, x = x, np.zeros_like(x)
+        x[:, ~some] = np.linalg.solve(gram, right[:, :, None])[:, :, 0]
+        x[:, some] = (heard - np.einsum("skg,sg->sk", across, x[:, ~some])) / own
         weight = use * (1 + (target - x @ columns.T) ** 2) ** -0.5
         if np.abs(x - before).max(initial=0.0) < MOVED:
             break

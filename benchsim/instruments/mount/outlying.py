@@ -65,6 +65,7 @@ def outlying(
     sets: Sequence[Sequence[int]],
     sigma: float | None = None,
     steps: Sequence[Sequence[int]] = (),
+    local: Array | None = None,
 ) -> Outlying:
     """Judge the records.
 
@@ -82,16 +83,19 @@ def outlying(
         Errors per component; default they are estimated.
     steps : sequence of sequence of int
         Columns of a change of the mount at each place where it may have been; at most one is there.
+    local : (2 n, m) array, optional
+        Columns that are always fitted, too, of which no two act on one datum: what the records of a day share.
     """
     n = len(residual)
     data = residual.reshape(-1)
+    alone = np.zeros((2 * n, 0)) if local is None else local
 
     numbers = range(len(sets))
 
     def best_of(many: Sequence[Sequence[int]], steps: Sequence[Sequence[int]] = ((),)) -> tuple[int, _Robust]:
         """Number of the most probable of sets beside steps, and its fit."""
         own = [[*always, *step, *(c for k in chosen for c in sets[k])] for chosen in many for step in steps]
-        found = _robust(data, columns, own)
+        found = _robust(data, columns, own, alone)
         # Schwarz's price of every number that is fitted, the place of a change among them.
         paid = [
             len(o) - len(always) + (2 if len(step) else 0) for o, step in zip(own, [*steps] * len(many), strict=True)
@@ -125,8 +129,11 @@ def _few(sets: Sequence[Sequence[int]], chosen: Sequence[int], n: int) -> bool:
     return 2 * sum(len(sets[k]) for k in chosen) <= n
 
 
-def _robust(data: Array, columns: Array, sets: Sequence[Sequence[int]]) -> _Robust:
-    """Fits of sets of columns with bivariate Student's t errors by reweighting; columns carry priors of unit sigma."""
+def _robust(data: Array, columns: Array, sets: Sequence[Sequence[int]], local: Array) -> _Robust:
+    """Fits of sets of columns with bivariate Student's t errors by reweighting; columns carry priors of unit sigma.
+
+    Those that are ``local`` have products with each other on the diagonal alone: they are eliminated.
+    """
     n, most = len(data) // 2, max(map(len, sets))
     # Short sets are filled up with a column of nothing.
     whole = np.column_stack([columns, np.zeros(2 * n)])
@@ -134,15 +141,31 @@ def _robust(data: Array, columns: Array, sets: Sequence[Sequence[int]]) -> _Robu
     weight, residual = np.ones((len(sets), n)), np.tile(data, (len(sets), 1))
     sigma, used = np.full(len(sets), max(1.4826 * float(np.median(np.abs(data))), 1e-9)), np.zeros(len(sets))
     going = np.arange(len(sets))
+    row, column = np.nonzero(local)
+    row = row[np.argsort(column, kind="stable")]
+    of, size = np.unique(column, return_counts=True)[1], local[row].sum(axis=1)
+    first = np.cumsum([0, *of])[:-1]
     for _ in range(_ROUNDS):
         a = whole[:, place[going]].transpose(1, 0, 2)
-        weighted = (a * np.repeat(weight[going], 2, axis=1)[:, :, None]).transpose(0, 2, 1)
+        doubled = np.repeat(weight[going], 2, axis=1)
+        weighted = (a * doubled[:, :, None]).transpose(0, 2, 1)
         gram, eye = weighted @ a, np.eye(most)
         # A little more where records agree to the last digit, so that there is an inverse.
         ridge = np.maximum(sigma[going] ** 2, 1e-14 * np.trace(gram, axis1=1, axis2=2))
-        solved = np.linalg.solve(gram + ridge[:, None, None] * eye, np.dstack([gram, weighted @ data]))
-        residual[going] = data - (a @ solved[:, :, -1:])[:, :, 0]
-        used[going] = np.trace(solved, axis1=1, axis2=2)
+        heavy = doubled[:, row] * size
+        own = np.add.reduceat(heavy * size, first, axis=1) + ridge[:, None]
+        cross = np.add.reduceat(heavy[:, :, None] * a[:, row], first, axis=1)
+        heard = np.add.reduceat(heavy * data[row], first, axis=1) / own
+        beside = cross / own[:, :, None]
+        inverse = np.linalg.inv(gram + ridge[:, None, None] * eye - cross.transpose(0, 2, 1) @ beside)
+        x = inverse @ (weighted @ data[:, None] - cross.transpose(0, 2, 1) @ heard[:, :, None])
+        residual[going] = data - (a @ x)[:, :, 0]
+        shared = heard - (beside @ x)[:, :, 0]
+        residual[going[:, None], row] -= size * np.repeat(shared, of, axis=1)
+        free = (
+            np.trace(inverse, axis1=1, axis2=2) + (1 / own).sum(axis=1) + ((beside @ inverse) * beside).sum(axis=(1, 2))
+        )
+        used[going] = most + len(of) - ridge * free
         squares = (residual[going].reshape(len(going), n, 2) ** 2).sum(axis=2)
         before = sigma[going]
         # Expectation-maximisation for the scale, with the numbers that the fit has used up given back.

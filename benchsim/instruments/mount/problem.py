@@ -135,13 +135,16 @@ def again(built: Built, values: dict[str, float]) -> Built | None:
 
 def look(problem: Problem, at: dict[str, float] | None = None, *, everything: float | None = None) -> Outlying:
     """Which records lie apart, about a point of the parameters; errors are at least ``everything``."""
+    # What acts on some records alone, the error of their day, is eliminated before all else.
+    nuisances = tuple(p for p in problem.nuisances if p.blocks is None)
+    days = tuple(p for p in problem.nuisances if p.blocks is not None)
     values = at or {}
     residual = problem.data - linear.predict_all(problem, values)
     own = {e.name: amplitudes(e) for e in problem.catalogue}
     many = [p for e in problem.catalogue if e.name != "change-point" for p in own[e.name]]
-    columns = linear.columns(problem, values, (*problem.nuisances, *many))
-    p = len(problem.nuisances)
-    size = np.array([q.sigma for q in (*problem.nuisances, *many)])
+    columns = linear.columns(problem, values, (*nuisances, *many))
+    p = len(nuisances)
+    size = np.array([q.sigma for q in (*nuisances, *many)])
     columns = columns * size
     predict = problem.predict
     assert isinstance(predict, Predict)
@@ -154,7 +157,9 @@ def look(problem: Problem, at: dict[str, float] | None = None, *, everything: fl
     sets = [[place[q.name] for q in own[e.name]] for e in problem.catalogue if e.name != "change-point"]
     always = [*range(p), *range(last, last + slow.shape[1])]
     stepped, steps = _steps(problem, values, columns.shape[1])
-    return outlying(residual.reshape(-1, 2), np.column_stack([columns, stepped]), always, sets, everything, steps)
+    local = linear.columns(problem, values, days) * np.array([q.sigma for q in days])
+    columns = np.column_stack([columns, stepped])
+    return outlying(residual.reshape(-1, 2), columns, always, sets, everything, steps, local)
 
 
 def _steps(problem: Problem, values: dict[str, float], first: int) -> tuple[Array, list[list[int]]]:
