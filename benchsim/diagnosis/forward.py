@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import wilcoxon
 
-from benchsim.diagnosis import evidence, linear
+from benchsim.diagnosis import evidence, least_squares, linear
 from benchsim.diagnosis.cross_validation import FOLDS, in_turn
 from benchsim.diagnosis.hypothesis import LARGEST, Effects, Fit, Hypothesis, Naming
 from benchsim.diagnosis.problem import Effect, Parameter, Problem
@@ -282,11 +282,12 @@ def _some(parameters: Sequence[Parameter]) -> NDArray[np.bool_]:
 def _solved(target: Array, columns: Array, parameters: Sequence[Parameter], use: NDArray[np.bool_]) -> Array:
     """Where the sum is least, of residuals target − columns x, for every choice of data (s, n); (s, k)."""
     some, x, weight = _some(parameters), np.zeros((len(use), columns.shape[1])), use.astype(float)
-    # No two of what acts on some blocks alone act on one datum: their own products are diagonal, and they go first.
-    local, rest = columns[:, some], columns[:, ~some]
+    rest, (row, size, first) = columns[:, ~some], least_squares.alone(columns[:, some])
     for _ in range(ROUNDS):
-        own = weight @ local**2 + (1 + x[:, some] ** 2) ** -0.5
-        across, heard = (local.T * weight[:, None, :]) @ rest, (weight * target) @ local
+        heavy = weight[:, row] * size
+        own = np.add.reduceat(heavy * size, first, axis=1) + (1 + x[:, some] ** 2) ** -0.5
+        across = np.add.reduceat(heavy[:, :, None] * rest[row], first, axis=1)
+        heard = np.add.reduceat(heavy * target[row], first, axis=1)
         weighted = rest.T * weight[:, None, :]
         gram = weighted @ rest + np.eye(rest.shape[1]) - across.transpose(0, 2, 1) @ (across / own[:, :, None])
         right = weighted @ target - np.einsum("skg,sk->sg", across, heard / own)

@@ -252,3 +252,18 @@ def bounded(hessian: Array, force: Array, low: Array, high: Array) -> Array:
         at, free = free[worst], np.delete(free, worst)
         step[at] = low[at] if step[at] < low[at] else high[at]
     return np.minimum(np.maximum(step, low), high)
+
+
+def alone(columns: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.intp]]:
+    """Columns of which no two act on one datum, by their entries: their products with each other are diagonal, so that
+    they are eliminated before all others.
+
+    Returns
+    -------
+    row, size : (m,) arrays
+        Data that the entries are of, and the entries, column after column.
+    first : (k,) int array
+        Where each column's begin, for `numpy.add.reduceat`.
+    """
+    column, row = np.nonzero(columns.T)
+    return row, columns[row, column], np.searchsorted(column, np.arange(columns.shape[1]))

@@ -17,6 +17,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import f, norm
 
+from benchsim.diagnosis import least_squares
 from benchsim.instruments.mount.records import Array
 
 FREEDOM = 3.0
@@ -141,10 +142,8 @@ def _robust(data: Array, columns: Array, sets: Sequence[Sequence[int]], local: A
     weight, residual = np.ones((len(sets), n)), np.tile(data, (len(sets), 1))
     sigma, used = np.full(len(sets), max(1.4826 * float(np.median(np.abs(data))), 1e-9)), np.zeros(len(sets))
     going = np.arange(len(sets))
-    row, column = np.nonzero(local)
-    row = row[np.argsort(column, kind="stable")]
-    of, size = np.unique(column, return_counts=True)[1], local[row].sum(axis=1)
-    first = np.cumsum([0, *of])[:-1]
+    row, size, first = least_squares.alone(local)
+    of = np.diff(first, append=len(row))
     for _ in range(_ROUNDS):
         a = whole[:, place[going]].transpose(1, 0, 2)
         doubled = np.repeat(weight[going], 2, axis=1)
