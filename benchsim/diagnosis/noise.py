@@ -24,7 +24,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import solve_triangular, svd
 from scipy.special import logsumexp
 
 from benchsim.diagnosis.hypothesis import Noise
@@ -127,7 +127,11 @@ def _gather(
     x = x[:, np.linalg.norm(x, axis=0) > VISIBLE]
     if x.shape[1]:
         # Not by the eigenvectors of a product: columns of 1e9 sigma would leave rounding of the directions of some.
-        vector, value, _ = np.linalg.svd(x, full_matrices=False)
+        try:
+            vector, value, _ = np.linalg.svd(x, full_matrices=False)
+        except np.linalg.LinAlgError:
+            # Divide and conquer gives up on some hundreds of columns that are alike; QR iteration does not.
+            vector, value, _ = svd(x, full_matrices=False, lapack_driver="gesvd")
         x = vector[:, : max(len(z) // 3, 1)][:, value[: max(len(z) // 3, 1)] > VISIBLE]
     edges = np.cumsum([0, *map(len, factor)])
     eigen, turned_z, turned_x = [np.zeros(len(z))], [z], [x]
