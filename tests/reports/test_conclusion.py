@@ -63,6 +63,11 @@ SAID = [
         "screen-bow.",
     ),
     (
+        # One of the classes says that something is there, whatever the other leaves open.
+        diagnosis("class", [], [[["axis-tilt"], ["clock"]], [["coma"], []]]),
+        "Something is missing from the simulation, and these recordings leave a choice of what it is.",
+    ),
+    (
         diagnosis("located", [TILT], location=HERE),
         "Something is missing from the simulation: screen-tilt (provisional). Beside it, what has no name in the "
         "catalogue sits in the camera.",

@@ -122,6 +122,25 @@ def test_few_settings_are_said_and_a_gain_within_scatter_is_no_gain(made):
     assert "show no gain" in text and "80.0 %" not in text
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        (8891.0, 137.0, "falls from 8891 to 137 (± 20): 98.5 % of it is removed."),
+        (60195.0, 12.0, "falls from 60195 to 12 (± 20): more than 99.9 % of it is removed."),
+        (8891.0, 13771.0, "rises from 8891 to 13771 (± 20): what was found predicts settings left out no better."),
+        (900.0, -90.0, "falls from 900 to -90 (± 20): all of it is removed (below zero: the noise"),
+    ],
+)
+def test_what_prediction_gained_is_told_by_its_sign(made, before, after, said):
+    held = replace(made.diagnosis.held_out, excess_chi2_before=before, excess_chi2_after=after, sigma=20.0)
+    assert said in " ".join(summary(replace(made.diagnosis, held_out=held), about(made)).split())
+
+
+def test_several_lost_exposures_are_a_list(made):
+    text = summary(made.diagnosis, about(made, lost=("004.png: no trace", "005.png: no trace")))
+    assert "Dropped:\n- 004.png: no trace\n- 005.png: no trace" in text
+
+
 def test_lost_exposures_remarks_and_defaults_are_said(made):
     text = summary(
         made.diagnosis, about(made, lost=("004.png: no trace",), remarks=("One setting.",), defaults=("a.b = 1.0",))
