@@ -23,14 +23,11 @@ from benchsim.diagnosis.problem import Parameter, Problem, Values, fit_value
 
 Array = NDArray[np.float64]
 
-
 TOGETHER = 25_000
 """Data predicted in one task: few enough that cores share the work evenly, enough that more would gain little."""
 
-
 CANCELLED = 1e-9
 """Part of a column's square that is left of it beside the others, below which rounding speaks in the factor."""
-
 
 TINY = 8
 """Data of a block up to which all blocks of that size are worked on together."""
@@ -296,8 +293,13 @@ def columns_at(
 
     here: dict[int, slice] = {}
     tasks: list[tuple[int, int, NDArray[np.intp], slice | None, slice, float]] = []
+    known: Mapping[str, Array] = getattr(problem.predict, "slopes", {})
+    out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
     for i, (at, parameters) in enumerate(points):
         for k, p in enumerate(parameters):
+            if p.name in known:
+                out[i][:, k] = known[p.name]
+                continue
             middle, half = at.get(p.name, 0.0), (steps or {}).get(p.name)
             # Away from 0 one step suffices; at 0 things may appear, a tilted window where there was none.
             once = half is None and middle != 0.0
@@ -309,17 +311,15 @@ def columns_at(
             if once and i not in here:
                 here[i] = ask(at, every, number)
             own: Sequence[int] = every if p.blocks is None else p.blocks
-            rows = number if p.blocks is None else np.concatenate([number[problem.rows(b)] for b in own])
+            rows = np.concatenate([number[problem.rows(b)] for b in own]) if p.blocks else number
             below = None if once else ask({**at, p.name: low}, own, rows)
             width = fit_value(p, high) - fit_value(p, low)
             tasks.append((i, k, rows, below, ask({**at, p.name: high}, own, rows), width))
-    out = [np.zeros((len(problem.data), len(parameters))) for _, parameters in points]
     found = predictions(problem, values, asked)
     for i, k, rows, below, above, width in tasks:
         first = found[here[i]][rows] if below is None else found[below]
         out[i][rows, k] = (found[above] - first) / width
-    # Beside a point from which light just hits, a step may find none: no derivative is better than one that is not
-    # finite, since steps of fits are taken on exact predictions.
+    # Where a step finds no light no derivative is better than one that is not finite: fits step on exact predictions.
     return [np.where(np.isfinite(j), j, 0.0) for j in out]
 
 

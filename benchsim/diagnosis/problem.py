@@ -187,7 +187,8 @@ class Problem:
     predict : callable
         predict(values, block) → (n_b,) of the block. Must be a pure function of picklable arguments. Where it has an
         attribute ``many``, it also takes a list of values and one of their blocks, and gives the list of their
-        predictions; call it by `linear.predictions`, which makes use of that.
+        predictions; call it by `linear.predictions`, which makes use of that. ``slopes``, a mapping of names to (n,),
+        are derivatives that are the same everywhere and need no differences.
     attachments : tuple of Attachment
     next_recordings : callable or None
         Called only when something is open: gives what could be recorded next.

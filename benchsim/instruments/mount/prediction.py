@@ -79,18 +79,18 @@ class Predict:
         x: dict[str, Array] = {n: np.full(len(distinct), v) for n, v in self.stated.items()}
         for t, one in enumerate(distinct.values()):
             for name, value in one.items():
-                if value == 0.0 or (unit := self.units.get(name)) is None:
+                if value == 0.0 or name in self.slopes or (unit := self.units.get(name)) is None:
                     continue
                 if name not in x:
                     x[name] = np.zeros(len(distinct))
                 x[name][t] += value * unit
         number = {k: t for t, k in enumerate(distinct)}
         of = np.fromiter(map(number.__getitem__, keys), np.intp, len(keys))
-        drift = [[x.pop(name, np.zeros(len(distinct))) for name in names] for names in self._drifting]
         predicted, seen = self.directions({name: v.take(of) for name, v in x.items()}, blocks)
         out = np.einsum("tjk,tk->tj", self._plane[blocks], _arc(predicted - _unit(seen))) / UNITS[self.mount.unit]
         if self.drift.size:
-            out += np.einsum("tk,jkt->tj", self.drift[blocks], np.array(drift).take(of, axis=2))
+            modes = np.array([[one.get(n, 0.0) for n in self.slopes] for one in distinct.values()])
+            out += (modes.reshape(len(distinct), 2, -1) @ self.drift.T)[of, :, blocks]
         return np.where(np.isfinite(out).all(axis=1, keepdims=True), out, LOST)
 
     def directions(self, x: Mapping[str, Array], i: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -151,9 +151,14 @@ class Predict:
         return out
 
     @cached_property
-    def _drifting(self) -> list[list[str]]:
-        """Parameters of the drift across, and up."""
-        return [[f"drift.{way}_{k + 1}" for k in range(self.drift.shape[1])] for way in ("across", "up")]
+    def slopes(self) -> dict[str, Array]:
+        """Derivatives (2 n,) by the drift's parameters, across and then up, in which the prediction is linear."""
+        component = np.eye(2)
+        return {
+            f"drift.{way}_{k + 1}": np.kron(column, component[j])
+            for j, way in enumerate(("across", "up"))
+            for k, column in enumerate(self.drift.T)
+        }
 
     @cached_property
     def _plane(self) -> Array:

@@ -216,7 +216,6 @@ def predicted(session: Session, catalogue: Sequence[Effect]) -> Predict:
     units = {p.name: UNITS[p.unit] for e in catalogue for p in e.parameters}
     units |= {p.name: UNITS[p.unit] for p in nuisances(mount)}
     angle = UNITS[mount.unit]
-    units |= {f"drift.{w}_{k + 1}": 1.0 for w in ("across", "up") for k in range(max(DRIFT_MODES, len(records.names)))}
     units |= {"IA": angle, "IE": angle, "sun_across": angle, "sun_up": angle, "spot_across": 1.0, "spot_up": 1.0}
     stated: dict[str, float] = {}
     for name, terms in session.effects.items():
