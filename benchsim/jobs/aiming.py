@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.instruments.mount import misses, solar, stamps
+from benchsim.instruments.mount import history, misses, solar, stamps
 from benchsim.instruments.mount.geodesy import enu
 from benchsim.instruments.mount.json_values import load, triple
 from benchsim.instruments.mount.paint_heliostat import FAR_M, ORIGIN
@@ -137,7 +137,9 @@ def aim_at(session: Session, target: str, time: str | None) -> Aim:
     name = f"{1 + (0 if counted is None else int(counted.max(initial=0)))}"
     known = target in session.mount.targets
     named = (target if known else session.mount.targets[0],)
-    one = replace(session, records=Records((name,), np.zeros((1, 2)), source, place[None], named))
+    latitude = session.mount.latitude
+    warmth = None if latitude is None else history.season(np.array([when.timestamp()]), latitude)
+    one = replace(session, records=Records((name,), np.zeros((1, 2)), source, place[None], named, warmth=warmth))
     if not known:
         # A place is where it is, however a target hangs.
         one = replace(one, effects={k: v for k, v in one.effects.items() if k != "target-position"})

@@ -15,7 +15,7 @@ from test_readers import write
 from test_sun import almanac, lifted
 
 from benchsim.instruments.mount import problem, stated
-from benchsim.jobs import diagnose, predict
+from benchsim.jobs import aim, diagnose, predict
 
 NEW = ("encoder-increment", "backlash", "thermal-growth")
 
@@ -193,6 +193,18 @@ def test_what_is_stated_of_a_heliostat_predicts_to_a_microradian(tmp_path, name,
     missed, plain = agrees(tmp_path, name, parameter, sign * abs(SIZES[name][parameter]), times)
     assert missed < 1e-3
     assert plain > 1.0
+
+
+@pytest.mark.parametrize("time", ["2024-01-20T11:40:00Z", "2024-07-20T11:40:00Z"])
+def test_an_aim_knows_its_season(tmp_path, time):
+    """Actuators that grow by 0.9 mm from the year's mean to its warmest day: the beam hits in winter and in summer."""
+    heliostat(tmp_path / "early", YEAR[:4])
+    hand.write_amended(tmp_path / "amended.toml", "early", {"thermal-growth": {"thermal_1": 0.9, "thermal_2": 0.9}})
+    found = aim(tmp_path / "amended.toml", "upper", time)
+    grown = 0.9 * season(datetime.fromisoformat(time))
+    spot = hand.hit(found.motor, hand.direction(*found.sun), {"step_1": grown, "step_2": grown})
+    assert np.linalg.norm(spot - hand.TARGET) < 1e-6
+    assert np.linalg.norm(hand.hit(found.motor, hand.direction(*found.sun)) - hand.TARGET) > 0.1
 
 
 def test_without_stamps_days_are_told_by_the_sun(tmp_path):
