@@ -44,6 +44,8 @@ class Aim(Shown):
     sigma : (float, float) or None
         1 sigma of the spot across and up, as seen along the beam, from what was fitted [mm]; None where the file does
         not say.
+    play : float
+        By how much the spot lies to either side, by the way in which the axes come, where backlash is stated [mm].
     """
 
     heliostat: str
@@ -53,6 +55,7 @@ class Aim(Shown):
     sun: tuple[float, float]
     motor: Array
     sigma: tuple[float, float] | None
+    play: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values."""
@@ -64,6 +67,7 @@ class Aim(Shown):
             "sun_elevation_deg": self.sun[1],
             "motor_positions": [round(float(v), 2) for v in self.motor],
             "sigma_mm": None if self.sigma is None else list(self.sigma),
+            "play_mm": self.play,
         }
 
     def text(self) -> str:
@@ -77,6 +81,10 @@ class Aim(Shown):
         if self.sigma is not None:
             across, up = self.sigma
             lines.append(f"  the spot's place is known to {across:.0f} mm across and {up:.0f} mm up (1 sigma)")
+        if self.play:
+            lines.append(
+                f"  its play moves the spot by up to {self.play:.0f} mm to either side, by the way the axes come"
+            )
         return "\n".join(lines)
 
     summary = text
@@ -151,7 +159,17 @@ def aim_at(session: Session, target: str, time: str | None) -> Aim:
         fitted = misses.covariances(hit, session.learnt, single=False)[0]
         across, up = np.sqrt(np.diag(fitted)) / session.mount.of_normal * UNITS["mrad"] * length
         sigma = (float(across), float(up))
-    return Aim(session.title, target, place, when, (azimuth, elevation), motor, sigma)
+    return Aim(session.title, target, place, when, (azimuth, elevation), motor, sigma, _play(hit))
+
+
+def _play(hit: Session) -> float:
+    """How far the spot moves at most where both axes come from a side, against where they are amid their play [mm]."""
+    beam, seen = misses.directions(hit)
+    moved = 0.0
+    for way in np.eye(2):
+        came = replace(hit, records=replace(hit.records, travel=way[None]))
+        moved += float(np.linalg.norm(misses.directions(came)[0] - beam))
+    return moved * float(np.linalg.norm(seen))
 
 
 def _parsed(time: str | None) -> datetime:

@@ -345,7 +345,7 @@ def _row(heliostat: Heliostat, session: Session, result: MountDiagnosis) -> dict
         "classes": [[list(m) for m in c.members] for c in d.classes],
         "sizes": [
             *(_sized(f.name, f.parameters, "") for f in d.effects),
-            *(_sized(" + ".join(c.members[0]), c.sizes[0], "if ") for c in d.classes if c.sizes and c.sizes[0]),
+            *(_sized(" + ".join(m), s, "if ") for c in d.classes for m, s in zip(c.members, c.sizes, strict=True) if s),
         ],
         **{f"miss_{w}_mrad": float(np.nanmedian(x)) for w, x in angle.items()},
         # The beam turns by twice the normal's angle.

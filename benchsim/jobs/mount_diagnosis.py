@@ -256,10 +256,9 @@ def diagnose_session(
             break
         built = fewer
         found = diagnosis.diagnose(built.problem, lambda what, done: progress(what, 0.1 + 0.7 * done))
-    far, why = witnesses.far(found)
-    if far:
-        session = replace(session, remarks=(*session.remarks, why))
-        return diagnose_session(session, folder, without=(*without, far), progress=progress)
+    if far := witnesses.far_target(found):
+        session = replace(session, remarks=(*session.remarks, far))
+        return diagnose_session(session, folder, without=(*without, "target-position"), progress=progress)
     unit, size = session.mount.unit, float(np.sqrt(np.mean(found.residuals.sigma**2)))
     if size > WILD[unit]:
         remark = (
@@ -269,7 +268,8 @@ def diagnose_session(
         )
         built = replace(built, remarks=(*built.remarks, remark))
         found = _withdrawn(found, built.problem)
-    found = replace(found, next=found.next[:NEXT])
+    found, doubted = witnesses.doubted(replace(found, next=found.next[:NEXT]))
+    built = replace(built, remarks=(*built.remarks, *doubted))
     put, small, fields = amended(session, built, found), SmallTerms({}, ()), lawful(session, built, found)
     if session.mount.observes == "spot" and found.verdict != "nothing-missing" and size <= WILD[unit]:
         small = small_terms.small_terms(built.problem, found.values, put)

@@ -201,6 +201,7 @@ def predict(
             f"{learnt.sum()} of {len(learnt)} records were used to learn it; their misses say nothing"
             + (", and no other is there." if learnt.all() else ", and are not counted.")
         )
+    remarks += _untold(later)
     folder = None if output is None else Path(output)
     with wanted_folder(folder, "predict", later.files, {"pictures": draw}) as staging:
         aimed = None if aim is None else aim_at(session, aim, time)
@@ -221,6 +222,16 @@ def predict(
             _draw(staging / "prediction.png", result)
     progress("done", 1.0)
     return result
+
+
+def _untold(later: Session) -> list[str]:
+    """What is stated that these records do not show the cause of."""
+    records, out = later.records, []
+    if "thermal-growth" in later.effects and records.warmth is None:
+        out.append("thermal-growth is stated, but these records have no season or temperature: taken at the mean.")
+    if "backlash" in later.effects and (records.travel is None or not records.travel.all(axis=1).any()):
+        out.append("backlash is stated, but the order of these records does not show it: taken amid the play.")
+    return out
 
 
 def _missed(session: Session, later: Session, learnt: NDArray[np.bool_]) -> tuple[Miss, ...]:

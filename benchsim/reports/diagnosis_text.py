@@ -9,7 +9,7 @@ from math import exp, isfinite, log
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from benchsim.reports.conclusion import CONFIDENCE, gathered, headline, leftover, listed
+from benchsim.reports.conclusion import CONFIDENCE, below_zero, gained, gathered, headline, leftover, listed
 from benchsim.reports.limits_text import blind_text, limit_rows, limit_text, shapes_text
 from benchsim.reports.quantities import rounded, words_of
 from benchsim.reports.vocabulary import BENCH, Vocabulary
@@ -92,9 +92,9 @@ def summary(d: Diagnosis, about: About) -> str:
     parts += list(_next(d))
     parts += list(_limits(d, about))
     parts += list(_settings(d, words))
-    if len(about.lost) > 1:
-        parts.append("\n".join(["Dropped:", *(_item(sentence) for sentence in about.lost)]))
-    parts += [_wrapped(f"Dropped: {sentence}") for sentence in about.lost if len(about.lost) == 1]
+    if about.lost:
+        one = len(about.lost) == 1
+        parts.append(_wrapped(f"Dropped: {about.lost[0]}") if one else "\n".join(["Dropped:", *map(_item, about.lost)]))
     if about.remarks or d.notes:
         parts.append("\n".join(_item(sentence) for sentence in gathered([*about.remarks, *d.notes])))
     if about.defaults:
@@ -279,20 +279,6 @@ def _where(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     yield "\n".join(lines)
 
 
-def removed(part: float) -> str:
-    """A part of a misfit as words have it: noise can make it more than all, and what is left may still show."""
-    if part >= 1:
-        return "all"
-    return "more than 99.9 %" if part > 0.9995 else f"{100 * part:.1f} %"
-
-
-def below_zero(after: float, sigma: float, words: Vocabulary) -> str:
-    """A clause on an excess χ² that noise alone would hardly make negative; empty where it would."""
-    if after > -2 * sigma:
-        return ""
-    return f" (below zero: the noise was estimated larger than that of the {words.setting}s left out)"
-
-
 def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
     if d.verdict == "nothing-missing":
         rows = [
@@ -300,8 +286,9 @@ def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
             for k, (_, a) in d.rms.items()
         ]
         if rows:
-            start = f"The simulation fits the {words.recordings} to "
-            yield _wrapped(f"{start}{', '.join(rows)}{words.of} rms, settings fitted.")
+            yield _wrapped(
+                f"The simulation fits the {words.recordings} to {', '.join(rows)}{words.of} rms, settings fitted."
+            )
     else:
         rows = [
             f"{words.kinds.get(k, (k, ''))[0]} {b:.3g} → {a:.3g} {words.kinds.get(k, (k, ''))[1]}".rstrip()
@@ -325,16 +312,6 @@ def _better(d: Diagnosis, words: Vocabulary) -> Iterator[str]:
         start + f"the {words.recordings}' misfit beyond noise and setting errors (excess χ²) "
         f"{gained(before, after, held.sigma, words)}"
     )
-
-
-def gained(before: float, after: float, sigma: float, words: Vocabulary) -> str:
-    """What prediction gained: ``falls from 8891 to 137 (± 20): 98.5 % of it is removed.``"""
-    text = f"{'falls' if after < before else 'rises'} from {before:.0f} to {after:.0f} (± {sigma:.0f})"
-    if after >= before:
-        return text + f": what was found predicts {words.setting}s left out no better."
-    if before > 2 * sigma:
-        return text + f": {removed(1 - after / before)} of it is removed{below_zero(after, sigma, words)}."
-    return text + "; before, it was within its scatter, so that these recordings show no gain."
 
 
 def _sigma(s: SplitBy) -> str:

@@ -6,11 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from math import inf, log10
 from typing import Any
 
-from benchsim.reports.conclusion import CONFIDENCE, SETTINGS, gathered, headline, leftover, listed
+from benchsim.reports.conclusion import CONFIDENCE, SETTINGS, below_zero, gained, gathered, headline, leftover, listed
 from benchsim.reports.diagnosis_text import (
     SIMULATION,
-    below_zero,
-    gained,
     number,
     odds,
     percent,

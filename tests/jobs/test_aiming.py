@@ -59,6 +59,20 @@ def test_a_faultless_mount_s_positions_are_its_inverse_s(heliostat):
     assert found.sigma is None
 
 
+def test_play_is_said_beside_the_aim(heliostat):
+    """Actuators with 1.6 and 1.2 mm of play: the beam lands to either side by what half of them does."""
+    hand.write_amended(heliostat / "a.toml", "early", {"backlash": {"backlash_1": 1.6, "backlash_2": 1.2}})
+    found = aim(heliostat / "a.toml", "upper", NOON)
+    source = hand.direction(*found.sun)
+    middle = hand.hit(found.motor, source)
+    beam = (middle - hand.PLACE) / np.linalg.norm(middle - hand.PLACE)
+    each = [hand.hit(found.motor, source, e) - middle for e in ({"step_1": 0.8}, {"step_2": 0.6})]
+    seen = [np.linalg.norm(d - d @ beam * beam) for d in each]
+    assert found.play == pytest.approx(1e3 * sum(seen), rel=0.05)
+    assert f"up to {found.play:.0f} mm" in found.text() and found.as_dict()["play_mm"] == found.play
+    assert aim(heliostat / "amended.toml", "upper", NOON).play == 0
+
+
 def test_aimed_at_where_a_record_s_spot_was_it_finds_the_record_s_positions(heliostat, tmp_path):
     """A spot that the true mount made with 41234 and 50321 steps, by the sun of that time."""
     at = sun(NOON, [hand.LATITUDE, hand.LONGITUDE, hand.HEIGHT])

@@ -128,7 +128,8 @@ def test_few_settings_are_said_and_a_gain_within_scatter_is_no_gain(made):
         (8891.0, 137.0, "falls from 8891 to 137 (± 20): 98.5 % of it is removed."),
         (60195.0, 12.0, "falls from 60195 to 12 (± 20): more than 99.9 % of it is removed."),
         (8891.0, 13771.0, "rises from 8891 to 13771 (± 20): what was found predicts settings left out no better."),
-        (900.0, -90.0, "falls from 900 to -90 (± 20): all of it is removed (below zero: the noise"),
+        (9000.0, -90.0, "falls from 9000 to -90 (± 20): all of it is removed (below zero: the noise"),
+        (300.0, -90.0, "below zero by more than its scatter: the noise is overstated, and no gain can be given."),
     ],
 )
 def test_what_prediction_gained_is_told_by_its_sign(made, before, after, said):

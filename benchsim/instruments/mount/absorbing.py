@@ -22,7 +22,7 @@ ELSEWHERE = {
     "clock": "the time of the records is at fault; set the clock",
     "target-position": "targets hang elsewhere; correct the tower's file",
     "backlash": "rigid kinematics have no number for play; drive each axis to its place from one side",
-    "thermal-growth": "rigid kinematics know no season; correct the lengths by the temperature",
+    "thermal-growth": "rigid kinematics know no season; correct the lengths by it (20 July +1, January -1)",
     "spot-scale": "the scale of the camera that measures spots is at fault; calibrate it",
 }
 """Effects that are none of the mount's constants, and what is to be done."""

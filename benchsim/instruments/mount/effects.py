@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchsim.diagnosis.problem import Effect, Parameter
+from benchsim.instruments.mount import history
 from benchsim.instruments.mount.records import Mount, Records
 
 ANGLE = "angle"
@@ -298,7 +299,8 @@ def candidates(mount: Mount, records: Records, *, every: bool = False) -> tuple[
 def _told(name: str, records: Records, axis: int) -> bool:
     """Whether the order or the time of these records shows anything of an axis' play or growth."""
     if name == "thermal-growth":
-        return records.warmth is not None and float(np.ptp(records.warmth)) >= WARMTH
+        aged = records.when is not None and not history.spans_flanks(records.when)
+        return records.warmth is not None and float(np.ptp(records.warmth)) >= WARMTH and not aged
     return records.travel is not None and min((records.travel[:, axis] == way).sum() for way in (-1, 1)) >= EACH_WAY
 
 

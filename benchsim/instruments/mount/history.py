@@ -12,6 +12,12 @@ WARMEST_DAY = 200.0
 
 YEAR = 365.2425
 
+FLANKS = 0.75
+"""Part of a year below which records lie on one flank of the season, where it goes as age does."""
+
+HOTTEST_C = 60.0
+"""No air is so far from 0 °C: kelvin, and what stands for an unknown temperature."""
+
 KELVIN = 10.0
 """Change of the temperature that one unit of warmth is, from `sky.TEMPERATURE_C` on: every night has the same zero."""
 
@@ -39,8 +45,10 @@ def travel(mount: Mount, reading: Array, source: Array, when: Array | None = Non
     return np.asarray(np.sign(way))
 
 
-def season(when: Array, latitude: float) -> Array:
-    """−1 on the coldest to 1 on the warmest day of the year, (n,); 0 where nobody states the time.
+def season(when: Array, latitude: float) -> Array | None:
+    """−1 on the coldest to 1 on the warmest day of the year, (n,); None where less than half state their time.
+
+    The others are taken at the median. Within `FLANKS` of a year it is not told from age (`spans_flanks`).
 
     Parameters
     ----------
@@ -50,9 +58,23 @@ def season(when: Array, latitude: float) -> Array:
         [rad]
     """
     turn = 2 * np.pi * (when / 86400.0 - WARMEST_DAY) / YEAR
-    return np.asarray(np.nan_to_num(np.cos(turn)) * (1.0 if latitude >= 0 else -1.0))
+    return _filled(np.cos(turn) * (1.0 if latitude >= 0 else -1.0))
 
 
-def warmth(celsius: Array) -> Array:
-    """Temperature in units of `KELVIN`, (n,)."""
-    return np.asarray((celsius - sky.TEMPERATURE_C) / KELVIN)
+def spans_flanks(when: Array | None) -> bool:
+    """Whether records reach so far in time that what goes with the season is told from what goes with age."""
+    known = np.zeros(0) if when is None else when[np.isfinite(when)]
+    return len(known) > 0 and bool(np.ptp(known) >= FLANKS * YEAR * 86400.0)
+
+
+def warmth(celsius: Array) -> Array | None:
+    """Temperature in units of `KELVIN`, (n,); None where less than half are temperatures of the air.
+
+    The others are taken at the median.
+    """
+    return _filled(np.where(np.abs(celsius) <= HOTTEST_C, (celsius - sky.TEMPERATURE_C) / KELVIN, np.nan))
+
+
+def _filled(values: Array) -> Array | None:
+    known = np.isfinite(values)
+    return np.where(known, values, np.median(values[known])) if 2 * known.sum() > len(values) else None

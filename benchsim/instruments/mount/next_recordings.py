@@ -18,8 +18,9 @@ from benchsim.vector.sun import horizontal
 
 OBLIQUITY = np.radians(23.44)
 
-SEASONS = (("midsummer", OBLIQUITY), ("equinox", 0.0), ("midwinter", -OBLIQUITY))
-"""Declinations of the sun by the northern name of the season."""
+SEASONS = (("midsummer", OBLIQUITY, 0.9), ("equinox", 0.0, 0.0), ("midwinter", -OBLIQUITY, -0.9))
+"""Declination of the sun and warmth (`history.season`) by the northern name of the season; of the equinoxes one is
+warmer than the year's mean, one colder."""
 
 HOURS = (-4.0, -2.0, 0.0, 2.0, 4.0)
 """From noon, [h] of solar time."""
@@ -83,18 +84,19 @@ def _candidates(predict: Predict) -> tuple[list[str], Records]:
         t: records.spot[[k for k, o in enumerate(records.target) if o == t]].mean(axis=0) for t in records.target
     }
     asked = [
-        (season, hour, target, sun)
-        for season, declination in SEASONS
+        (season, hour, target, sun, warm)
+        for season, declination, warm in SEASONS
         for hour in HOURS
         if angles(sun := sun_at(latitude, declination, hour))[1] >= LOWEST
         for target in targets
     ]
-    suns = np.array([sun for *_, sun in asked]).reshape(-1, 3)
-    spots = np.array([targets[target] for _, _, target, _ in asked]).reshape(-1, 3)
+    suns = np.array([sun for *_, sun, _ in asked]).reshape(-1, 3)
+    spots = np.array([targets[target] for _, _, target, *_ in asked]).reshape(-1, 3)
+    warmth = np.array([warm for *_, warm in asked]) * (1.0 if latitude >= 0 else -1.0)
     reading = aimed(mount, suns, spots, records.reading)
     good = np.flatnonzero(np.isfinite(reading).all(axis=1))
     whats = []
-    for season, hour, target, sun in (asked[i] for i in good):
+    for season, hour, target, sun, _ in (asked[i] for i in good):
         azimuth, elevation = angles(sun)
         when = "at noon" if hour == 0 else f"{abs(hour):g} h {'before' if hour < 0 else 'after'} noon"
         whats.append(
@@ -102,7 +104,7 @@ def _candidates(predict: Predict) -> tuple[list[str], Records]:
             f"north through east, elevation {np.degrees(elevation):.0f} deg)."
         )
     own = tuple(asked[i][2] for i in good)
-    return whats, Records(("next",) * len(good), reading[good], suns[good], spots[good], own)
+    return whats, Records(("next",) * len(good), reading[good], suns[good], spots[good], own, warmth=warmth[good])
 
 
 def sun_at(latitude: float, declination: float, hour: float) -> Array:

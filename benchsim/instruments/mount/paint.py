@@ -151,7 +151,7 @@ def records_of(folder: Path, tower: Path, mount: Mount) -> tuple[Records, tuple[
     records = Records(
         names, read_out, source, spots, target, times, spot_sigma, np.array(centre),
         travel=history.travel(mount, read_out, source, times),
-        warmth=history.season(times, latitude) if np.isfinite(times).any() else None,
+        warmth=history.season(times, latitude),
         prompt=prompt,
     )  # fmt: skip
     _plausible(used, records, mount)

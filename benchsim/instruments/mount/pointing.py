@@ -81,11 +81,15 @@ def read(path: Path) -> Session:
         for azimuth, altitude in (run.angles[:, :2].T, run.angles[:, 2:].T)
     )
     names = tuple(f"star {k + 1} (line {line})" for k, line in enumerate(run.lines))
+    warmth = None if run.celsius is None else history.warmth(run.celsius)
+    if run.celsius is not None and not (np.abs(run.celsius) <= history.HOTTEST_C).all():
+        how = "the column is not used" if warmth is None else "these are taken at the median"
+        remarks.append(f"Some temperatures are no number, or beyond {history.HOTTEST_C:g} °C: {how}.")
     mount, n, stars = Mount("az-el", "sky", latitude=latitude), len(names), toward(true[:, 0], true[:, 1])
     records = Records(
         names, raw, stars, np.full((n, 3), np.nan), ("",) * n,
         travel=history.travel(mount, raw, stars),
-        warmth=None if run.celsius is None else history.warmth(run.celsius),
+        warmth=warmth,
     )  # fmt: skip
     return Session(printable(path.stem), path, (path,), mount, records, tuple(remarks))
 

@@ -68,7 +68,7 @@ def days(mount: Mount, source: Array, when: Array | None = None) -> NDArray[np.i
     later = 12 / np.pi * np.diff(hour)
     goes_on = (later > 0) & (np.abs(np.diff(declination)) <= DECLINES * later + ALIKE)
     if when is not None:
-        goes_on &= ~(np.diff(when) > DAY["spot"] / 2)
+        goes_on &= ~(np.abs(np.diff(when)) > DAY["spot"] / 2)
     return np.concatenate([[0], np.cumsum(~goes_on)]).astype(np.intp)
 
 

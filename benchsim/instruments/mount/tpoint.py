@@ -64,8 +64,7 @@ def read(path: Path, lines: Sequence[str]) -> Run:
     end = next((k for k, (_, f) in enumerate(split) if k > start and f[0].upper() == "END"), None)
     stars = split[start:end]
     angles = _angles(path, stars)
-    sky, warm = _sky(path, above, stars), _named(path, above, stars, ("temp(?:erature)?",))
-    celsius = None if warm is None else warm[0][0]
+    sky, celsius = _sky(path, above, stars), _celsius(above, stars)
     return Run(tuple(n for n, _ in stars), angles, sky, above, header.latitude(path, above), tuple(remarks), celsius)
 
 
@@ -190,21 +189,30 @@ def _sky(path: Path, above: Lines, stars: Sequence[tuple[int, Fields]]) -> Array
 
     LST and RA are in hours, unless their names say ``deg``.
     """
-    found = _named(path, above, stars, ("lst", "ra", "dec"))
+    found = _named(above, stars, ["lst", "ra", "dec"])
     if found is None:
         return np.full((len(stars), 2), np.nan)
-    (lst, ra, dec), names = found
+    at, names = found
+    lst, ra, dec = np.array([[_angle(path, n, k, f[k : k + 1]) for k in at] for n, f in stars]).T
     in_hours = [1.0 if "deg" in name else 15.0 for name in names]
     return np.column_stack([in_hours[0] * lst - in_hours[1] * ra, dec])
 
 
+def _celsius(above: Lines, stars: Sequence[tuple[int, Fields]]) -> Array | None:
+    """Temperature at every star, nan where it is no number; None where no column is named so."""
+    found = _named(above, stars, ["temp(?:erature)?(?:_?(?:deg)?_?c)?$"])
+    if found is None:
+        return None
+    return np.array([np.nan if (value := _value(f[found[0][0]])) is None else value for _, f in stars])
+
+
 def _named(
-    path: Path, above: Lines, stars: Sequence[tuple[int, Fields]], keys: Sequence[str]
-) -> tuple[Array, list[str]] | None:
-    """Columns (k, n) that a line above the stars names, if it has a name for each of theirs, and those names."""
+    above: Lines, stars: Sequence[tuple[int, Fields]], keys: Sequence[str]
+) -> tuple[list[int], list[str]] | None:
+    """Numbers and names of columns, if a line above the stars has a name for each of theirs."""
     for _, text in reversed(above):
         names = [n for n in re.split(r"[\s,;|]+", text.strip(" \t#!:,;|").lower()) if n]
         at = [next((k for k, n in enumerate(names) if re.match(rf"{key}(?![a-z])", n)), -1) for key in keys]
         if min(at) >= 0 and all(len(fields) == len(names) for _, fields in stars):
-            return np.array([[_angle(path, n, k, f[k : k + 1]) for n, f in stars] for k in at]), [names[k] for k in at]
+            return at, [names[k] for k in at]
     return None

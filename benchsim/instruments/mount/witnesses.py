@@ -13,8 +13,8 @@ from benchsim.instruments.mount.problem import FEWEST
 from benchsim.instruments.mount.records import Session
 
 FAR_M = 1.0
-"""How far from its place no target hangs and no heliostat stands: targets of Jülich agree to 0.1 m over 29 heliostats,
-while single ones with wrong days were given targets 3.6 and 7 m beside theirs."""
+"""How far from its place no target hangs and hardly a heliostat stands: targets of Jülich agree to 0.1 m over 29
+heliostats, while single ones with wrong days were given targets 3.6 and 7 m beside theirs."""
 
 AGAIN_DEG = 0.5
 """Within this of the star before a star is the same, or one that shares its air and its place on every bearing. Of a
@@ -48,18 +48,31 @@ def _left_out(names: Sequence[str], kept: NDArray[np.intp], why: str) -> list[st
     return [f"{why}: {', '.join(gone[:5])}{more}."] if gone else []
 
 
-def far(d: Diagnosis) -> tuple[str, str]:
-    """An effect by which a target, or the mirror, is stated to be where none is, and a sentence on it; else empty.
+def far_target(d: Diagnosis) -> str:
+    """A sentence where targets are stated at a distance that none has; else empty.
 
-    A survey, or neighbours that use the same target, refute it: whoever knows of none looks for what acts alike.
+    Neighbours that use the same target refute it: whoever knows of none looks for what acts alike.
     """
     stated = {*(f.name for f in d.effects), *chosen(d)}
-    for effect, start in (("target-position", "target_"), ("mirror-position", "mirror_")):
-        away = max((abs(v) for k, v in d.values.items() if k.startswith(start)), default=0.0) / 1e3
-        if effect in stated and away > FAR_M:
-            return effect, (
-                f"These records fit best with the {effect.partition('-')[0]} {away:.2g} m beside its place, where none "
-                f"is: {effect} is not looked for without a second witness, a survey or neighbours that use the same "
-                "target (benchsim field)."
+    far = max((abs(v) for k, v in d.values.items() if k.startswith("target_")), default=0.0) / 1e3
+    if "target-position" not in stated or far <= FAR_M:
+        return ""
+    return (
+        f"These records fit best with a target {far:.2g} m beside its place, where none hangs: target-position is not "
+        "looked for without a second witness, a survey or neighbours that use the same target (benchsim field)."
+    )
+
+
+def doubted(d: Diagnosis) -> tuple[Diagnosis, list[str]]:
+    """A diagnosis whose heliostat would stand where none does by a provisional name only, and a sentence on it."""
+    out, said = [], []
+    for f in d.effects:
+        far = max((abs(s.value) for s in f.parameters.values() if s.unit == "mm"), default=0.0) / 1e3
+        if f.name == "mirror-position" and far > FAR_M:
+            f = replace(f, confidence="provisional")
+            said.append(
+                f"No plant is surveyed wrongly by {far:.2g} m: {f.name} needs a second witness, a survey; until then "
+                "it stands for what acts alike."
             )
-    return "", ""
+        out.append(f)
+    return replace(d, effects=tuple(out)), said

@@ -198,17 +198,24 @@ def test_records_that_agree_exactly_are_diagnosed_in_silence():
     assert "nearly one place" in found.text()
 
 
-@pytest.mark.parametrize(("effect", "term"), [("target-position", "target_e_1"), ("mirror-position", "mirror_u")])
-@pytest.mark.parametrize("mm", [300.0, -7000.0])
-def test_a_place_that_no_survey_misses_by_needs_a_second_witness(effect, term, mm):
-    """0.3 m beside its place a target may hang, or a heliostat stand; 7 m no plant is surveyed wrongly by."""
-    named = Found(effect, "mount", 1.0, "provisional", {term: Size(mm, 30.0, "mm")}, "It is elsewhere.", "Survey it.")
+@pytest.mark.parametrize(("mm", "confidence"), [(300.0, "named"), (-2400.0, "provisional")])
+def test_a_place_that_no_survey_misses_by_needs_a_second_witness(mm, confidence):
+    """A heliostat 0.3 m beside its place is named; 2.4 m are more than any plant is surveyed wrongly by."""
+    sizes = {"mirror_e": Size(mm, 30.0, "mm"), "mirror_n": Size(10.0, 20.0, "mm")}
+    named = Found("mirror-position", "mount", 1.0, "named", sizes, "It stands elsewhere.", "Survey it.")
+    found, said = witnesses.doubted(replace(diagnose_session(night(1)).diagnosis, effects=(named,), verdict="named"))
+    assert found.effects == (replace(named, confidence=confidence),)
+    assert bool(said) == (confidence == "provisional")
+    assert not said or "2.4 m: mirror-position needs a second witness" in said[0]
+
+
+@pytest.mark.parametrize(("mm", "said"), [(300.0, ""), (-7000.0, "a target 7 m beside its place")])
+def test_a_target_hangs_near_its_place(mm, said):
+    sizes = {"target_e_1": Size(mm, 30.0, "mm")}
+    named = Found("target-position", "target", 1.0, "provisional", sizes, "It hangs elsewhere.", "Survey it.")
     clean = diagnose_session(night(1)).diagnosis
-    moved = replace(clean, values={**clean.values, term: mm})
-    found, said = witnesses.far(replace(moved, effects=(named,)))
-    assert found == (effect if mm == -7000.0 else "") and bool(said) == bool(found)
-    assert not said or "7 m beside its place" in said
-    assert witnesses.far(moved) == ("", "")
+    assert said in witnesses.far_target(replace(clean, effects=(named,), values={**clean.values, "target_e_1": mm}))
+    assert not witnesses.far_target(replace(clean, values={**clean.values, "target_e_1": mm}))
 
 
 @real

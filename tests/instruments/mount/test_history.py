@@ -277,11 +277,10 @@ def test_three_records_to_either_side_are_needed_on_an_axis(tmp_path):
 
 
 def test_a_season_and_a_temperature_have_to_change(tmp_path):
-    """Half of the cosine's unit, or 5 K; and somebody has to state the stamps or the temperature."""
-    # By 0.43 and 0.60 of it, before the equinox.
-    for days, wanted in ((26, False), (36, True)):
+    """Both flanks of the season, or 5 K; and somebody has to state the stamps or the temperature."""
+    # Three quarters of a year are 274 days.
+    for days, wanted in ((270, False), (276, True)):
         times = on_days(np.linspace(60, 60 + days, 6).round())
-        assert (np.ptp([season(t) for t in times]) > 0.5) == wanted
         source = heliostat(tmp_path / f"H{days}", times)
         assert ({"thermal_1", "thermal_2"} <= set(candidates(source))) == wanted
     assert not {"thermal_1", "thermal_2"} & set(candidates(heliostat(tmp_path / "AA01", YEAR, stamped=False)))
@@ -342,3 +341,39 @@ def test_a_minute_and_a_half_is_found_though_sun_and_stamps_agree(tmp_path):
     rows = [(steps, sun, spot) for (steps, _, spot), sun in zip(rows, told_sun, strict=True)]
     found = diagnose(hand.write_heliostat(tmp_path / "AA01", rows, stamps=stamps(YEAR)))
     held_to(found, "clock", {"dt": 90.0})
+
+
+def test_a_flank_of_the_season_is_not_told_from_age(tmp_path):
+    """Actuators that grow by 1 mm in a hundred days: from February to May alone that is no season."""
+    spring = on_days(range(20, 120, 10))
+    assert "thermal_1" not in candidates(heliostat(tmp_path / "spring", spring))
+    assert "thermal_1" in candidates(heliostat(tmp_path / "year", YEAR))
+
+
+def test_growth_and_play_that_later_records_do_not_show_are_said(tmp_path):
+    heliostat(tmp_path / "early", YEAR[:4])
+    terms = {"thermal-growth": {"thermal_1": 0.9}, "backlash": {"backlash_1": 1.0}}
+    hand.write_amended(tmp_path / "a.toml", "early", terms)
+    single = [YEAR[k] for k in range(0, 48, 4)]
+    told = predict(tmp_path / "a.toml", heliostat(tmp_path / "late", single, stamped=False, first=2000)).remarks
+    assert any("no season" in r for r in told) and any("amid the play" in r for r in told)
+    shown = predict(tmp_path / "a.toml", heliostat(tmp_path / "all", YEAR, first=3000)).remarks
+    assert not any("is stated, but" in r for r in shown)
+
+
+@pytest.mark.parametrize(
+    ("temperatures", "how"),
+    [("nan", "at the median"), ("-999", "at the median"), (None, "is not used")],
+)
+def test_temperatures_of_no_air_are_not_believed(tmp_path, temperatures, how):
+    """One that is missing or a mark for it, or all in kelvin: the run is read as ever."""
+    text, _ = night(40, noise=1.0)
+    head, *rows = text.splitlines()
+    if temperatures is None:
+        rows = [" ".join([*row.split()[:4], str(float(row.split()[4]) + 273.15)]) for row in rows]
+    else:
+        rows[3] = " ".join([*rows[3].split()[:4], temperatures])
+    found = diagnose(write(tmp_path, "run.dat", "\n".join([head, *rows]) + "\n"))
+    assert any("temperatures" in r and how in r for r in found.remarks)
+    assert not found.claimed & set(NEW)
+    assert found.encoder_zeros[0][0] == pytest.approx(900, abs=4 * found.encoder_zeros[0][1])
