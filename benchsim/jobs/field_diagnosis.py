@@ -304,7 +304,8 @@ def row_of(
             row: dict[str, Any] = load_json(kept)
         except ValueError:
             row = {}
-        if row.get("key") == key:
+        # A row of before a column was there is made anew.
+        if row.get("key") == key and {*COLUMNS} <= {*row}:
             return row
     result = mount_diagnosis.diagnose(
         session,
