@@ -103,7 +103,9 @@ def judge(problem: Problem, naming: Naming) -> Judged:
             on, lone, opened = _written(problem, naming, best, findings, many, notes)
         else:
             findings, on, lone, opened = _forward(problem, naming, best, findings, notes)
-        opened = (*opened, *_besides(best, lone, opened))
+        # Where records are predicted best by nothing, what else is likely by evidence alone is not asked.
+        if on.effects or not problem.judged_forward:
+            opened = (*opened, *_besides(best, lone, opened))
         if said in ("named", "class"):
             said = "class" if opened else "named"
     elif said == "nothing-missing":
