@@ -311,7 +311,7 @@ def columns_at(
             if once and i not in here:
                 here[i] = ask(at, every, number)
             own: Sequence[int] = every if p.blocks is None else p.blocks
-            rows = np.concatenate([number[problem.rows(b)] for b in own]) if p.blocks else number
+            rows = number if p.blocks is None else np.concatenate([number[problem.rows(b)] for b in own])
             below = None if once else ask({**at, p.name: low}, own, rows)
             width = fit_value(p, high) - fit_value(p, low)
             tasks.append((i, k, rows, below, ask({**at, p.name: high}, own, rows), width))
