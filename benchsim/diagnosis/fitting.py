@@ -239,11 +239,15 @@ def _task(context: Context, h: Hypothesis, hyper: tuple[int, int], theta: Array,
     high = np.append(np.full(p + len(h.amplitudes), np.inf), [max(s.grid) for s in h.shapes])
     unit = [1.0] * p + [a.sigma**a.power for a in h.amplitudes] + [WIDTH * span(s) for s in h.shapes]
     acts = np.zeros((len(context.problem.names), len(theta)), bool)
-    for k, q in enumerate((*context.problem.nuisances, *h.amplitudes, *h.shapes)):
+    every = (*context.problem.nuisances, *h.amplitudes, *h.shapes)
+    for k, q in enumerate(every):
         acts[slice(None) if q.blocks is None else list(q.blocks), k] = True
     inverse, slope = _prior(context, h, hyper)
+    known = getattr(context.problem.predict, "slopes", {})
+    alone = np.array([q.name in known and q.blocks is not None for q in every], bool)
+    alone &= bool((np.count_nonzero(jacobian[:, alone], axis=1) <= 1).all())
     start = np.clip(theta, low, high)
-    return Task(start, low, high, np.array(unit), inverse, slope, acts[context.problem.block], jacobian)
+    return Task(start, low, high, np.array(unit), inverse, slope, acts[context.problem.block], jacobian, alone)
 
 
 def _first_term(h: Hypothesis) -> int:

@@ -54,6 +54,9 @@ class Task:
         Which parameters a datum may depend on.
     jacobian : (n, k), optional
         ∂r/∂θ near the start; default made there.
+    alone : (k,) of bool, optional
+        In which r is linear, and of which no two act on one datum, as errors of days are: their derivatives, right in
+        ``jacobian``, stay, and they are eliminated before all others. Default none.
     """
 
     start: Array
@@ -64,6 +67,7 @@ class Task:
     slope: Array
     acts: NDArray[np.bool_]
     jacobian: Array | None = None
+    alone: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -150,6 +154,7 @@ class _Run:
         self.exact = self.wants = self.over = self.converged = False
         self.damping, self.growth, self.taken, self.promise = 1e-3, 2.0, 0, np.inf
         self.form: tuple[Array, Array] | None = None
+        self.alone = np.zeros(len(task.start), bool) if task.alone is None else task.alone
 
     def begin(self, residual: Array) -> None:
         self.residual, self.cost = residual, self._cost(self.theta, residual)
@@ -170,8 +175,13 @@ class _Run:
         """Second and (less) first derivatives of what is minimised."""
         if self.form is None:
             assert self.jacobian is not None
-            t, j = self.task, self.jacobian
-            self.form = j.T @ j + np.diag(t.precision), -(j.T @ self.residual) - t.precision * self.theta - t.slope
+            t, j, rest = self.task, self.jacobian, ~self.alone
+            hessian = np.zeros((len(t.start), len(t.start)))
+            hessian[rest] = j[:, rest].T @ j
+            hessian[:, rest] = hessian[rest].T
+            hessian[self.alone, self.alone] = np.square(j[:, self.alone]).sum(axis=0)
+            hessian.flat[:: len(hessian) + 1] += t.precision
+            self.form = hessian, -(j.T @ self.residual) - t.precision * self.theta - t.slope
         return self.form
 
     def _step(self, damping: float) -> tuple[Array, float]:
@@ -180,7 +190,9 @@ class _Run:
         # However sharp the data, a damped step is held to its reach by bounds of its own.
         reach = REACH * t.unit if damping else np.inf
         low, high = np.maximum(t.low - self.theta, -reach), np.minimum(t.high - self.theta, reach)
-        step = bounded(hessian + np.diag(damping / t.unit**2), force, low, high)
+        damped = hessian.copy()
+        damped.flat[:: len(damped) + 1] += damping / t.unit**2
+        step = bounded(damped, force, low, high, self.alone)
         return step, float(force @ step - 0.5 * step @ hessian @ step)
 
     def propose(self) -> Array | None:
@@ -218,11 +230,12 @@ class _Run:
     def _follow(self, step: Array, change: Array) -> None:
         """Broyden's update: what the step shows, and nothing across it."""
         assert self.jacobian is not None
-        t = self.task
-        scaled = step / t.unit
-        length = t.acts @ scaled**2
+        t, rest = self.task, np.flatnonzero(~self.alone)
+        scaled, acts = step[rest] / t.unit[rest], t.acts[:, rest]
+        length = acts @ scaled**2
         missed = np.where(length > 0, change - self.jacobian @ step, 0.0) / np.where(length > 0, length, 1.0)
-        self.jacobian = self.jacobian + missed[:, None] * np.where(t.acts, scaled / t.unit, 0.0)
+        self.jacobian = self.jacobian.copy()
+        self.jacobian[:, rest] += missed[:, None] * np.where(acts, scaled / t.unit[rest], 0.0)
         self.form = None
 
     def solution(self) -> Solution:
@@ -230,21 +243,29 @@ class _Run:
         return Solution(self.theta, self.residual, jacobian, self.cost, self.promise, self.converged, self.exact)
 
 
-def bounded(hessian: Array, force: Array, low: Array, high: Array) -> Array:
+def bounded(hessian: Array, force: Array, low: Array, high: Array, alone: NDArray[np.bool_] | None = None) -> Array:
     """argmax of fᵀ s − ½ sᵀ H s for low ≤ s ≤ high, 0 being allowed, by fixing what leaves its bounds.
 
-    Nothing that was fixed is set free again: where several bounds act the step may fall short of the best.
+    Nothing that was fixed is set free again: where several bounds act the step may fall short of the best. Of those
+    ``alone`` no two have a product in H.
     """
     step = np.zeros(len(force))
+    first = np.zeros(len(force), bool) if alone is None else alone
     free = np.flatnonzero(~(((low >= 0) & (force < 0)) | ((high <= 0) & (force > 0))))
     while len(free):
         step[free] = 0.0
-        rest, own = force[free] - hessian[free] @ step, hessian[free[:, None], free]
+        a, b = free[first[free]], free[~first[free]]
+        across, diagonal, own = hessian[b[:, None], a], hessian[a, a], hessian[b[:, None], b]
         # Far from any fit rounding can outweigh a direction's own curvature.
+        diagonal = diagonal + 1e-14 * diagonal + 1e-300
         own.flat[:: len(own) + 1] += 1e-14 * own.diagonal() + 1e-300
-        _, step[free], failed = dposv(own, rest)
-        if failed:
-            step[free] = np.linalg.lstsq(own, rest, rcond=None)[0]
+        rest, heard = force - hessian @ step, across / diagonal
+        own, right = own - heard @ across.T, rest[b] - heard @ rest[a]
+        if len(b):
+            _, step[b], failed = dposv(own, right)
+            if failed:
+                step[b] = np.linalg.lstsq(own, right, rcond=None)[0]
+        step[a] = (rest[a] - across.T @ step[b]) / diagonal
         beyond = np.maximum(low - step, step - high)[free]
         worst = int(beyond.argmax())
         if not beyond[worst] > 0:

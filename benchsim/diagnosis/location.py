@@ -10,7 +10,7 @@ Bonferroni's bound.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,15 +45,16 @@ class Explanation:
     ----------
     element, coordinate : str
     log_evidence : float
-    left : float
+    left : callable
         Largest gain in ln Z that a better function of the same element could still bring: 0 where nothing smooth is
-        left, half of the excess χ² otherwise, infinite where it does not explain most of the misfit.
+        left, half of the excess χ² otherwise, infinite where it does not explain most of the misfit. Asked of the best
+        explanation alone.
     """
 
     element: str
     coordinate: str
     log_evidence: float
-    left: float
+    left: Callable[[], float]
 
 
 def locate(explanations: Sequence[Explanation]) -> Location | None:
@@ -67,7 +68,7 @@ def locate(explanations: Sequence[Explanation]) -> Location | None:
     best = max(explanations, key=lambda e: e.log_evidence)
     others = [e.log_evidence for e in explanations if e.element != best.element]
     margin = best.log_evidence - max(others) if others else float("inf")
-    claimed = bool(others and margin > CLAIM + best.left)
+    claimed = bool(others and margin > CLAIM and margin > CLAIM + best.left())
     return Location(best.element, best.coordinate, claimed, float(margin), ())
 
 
@@ -198,11 +199,14 @@ def place(
     for laid in findings.more if rest else findings.free:
         a = laid.attachment
         coordinate.setdefault(a.element, a.coordinate)
-        left = np.inf
-        if not anew(problem, a):
+
+        def of_function(laid: Attached = laid) -> float:
+            if anew(problem, laid.attachment):
+                return np.inf
             with_it, rest_of_it = remainder.beside(problem, naming, laid, modes)
-            left = 0.0 if rest_of_it.acceptable else _unexplained(with_it, laid.scale, ground, base.setting_scale)
-        explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, left))
+            return 0.0 if rest_of_it.acceptable else _unexplained(with_it, laid.scale, ground, base.setting_scale)
+
+        explanations.append(Explanation(a.element, a.coordinate, laid.log_evidence, of_function))
     if not rest:
         element = {e.name: e.element for e in problem.catalogue}
         fits = {f.effects: f for f in naming.fits if f.converged}
@@ -211,9 +215,13 @@ def place(
             if len(of) != 1:
                 continue
             only = of.pop()
-            fit = fits.get(degeneracy.fitted(effects))
-            nothing = fit is not None and remainder.left(problem, naming, fit, modes).acceptable
-            explanations.append(Explanation(only, coordinate.get(only, ""), value, 0.0 if nothing else np.inf))
+
+            def of_names(effects: tuple[str, ...] = effects) -> float:
+                fit = fits.get(degeneracy.fitted(effects))
+                nothing = fit is not None and remainder.left(problem, naming, fit, modes).acceptable
+                return 0.0 if nothing else np.inf
+
+            explanations.append(Explanation(only, coordinate.get(only, ""), value, of_names))
     elements = {e.element: None for e in problem.catalogue if e.name in on.effects}
     if findings.stands and not rest and len(elements) > 1:
         there: Location | None = Location(" + ".join(elements), "", False, 0.0, ())

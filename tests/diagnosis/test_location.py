@@ -12,15 +12,19 @@ from benchsim.diagnosis.linear import linearise
 from benchsim.diagnosis.location import Explanation, by_kind, locate, scan
 
 
+def explained(element, coordinate, log_evidence, left=0.0):
+    return Explanation(element, coordinate, log_evidence, lambda: left)
+
+
 def test_an_element_is_claimed_over_every_other_one():
-    a, b = Explanation("screen", "z", -10.0, 0.0), Explanation("mirror", "phase", -17.9, 0.0)
+    a, b = explained("screen", "z", -10.0), explained("mirror", "phase", -17.9)
     assert not locate([a, b]).claimed
-    far = Explanation("mirror", "phase", -18.1, 0.0)
-    found = locate([a, far, Explanation("screen", "y", -10.5, 0.0)])
+    far = explained("mirror", "phase", -18.1)
+    found = locate([a, far, explained("screen", "y", -10.5)])
     assert found.claimed and found.element == "screen" and found.coordinate == "z"
-    assert not locate([Explanation("screen", "z", -10.0, float("inf")), far]).claimed
-    assert not locate([Explanation("screen", "z", -10.0, 0.2), far]).claimed
-    assert locate([Explanation("screen", "z", -9.0, 0.9), far]).claimed
+    assert not locate([explained("screen", "z", -10.0, float("inf")), far]).claimed
+    assert not locate([explained("screen", "z", -10.0, 0.2), far]).claimed
+    assert locate([explained("screen", "z", -9.0, 0.9), far]).claimed
     assert not locate([a]).claimed
     assert locate([]) is None
 
