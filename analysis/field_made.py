@@ -5,7 +5,7 @@
 Heliostats of the Jülich kind (first axis horizontal along east, second perpendicular, linear actuators) stand in rows
 north of a tower with two targets. Each has none, one or two of the errors in `OWN`; ``--shared`` conceals besides what
 all have in common: ``target`` (one target hangs elsewhere), ``tower`` (all do, alike), ``clock``, ``refraction``
-(the sun's elevation lacks it or has it twice), ``camera`` (spots lie further from their target's centre than recorded),
+(the sun's elevation lacks it or has it twice), ``camera`` (spots are recorded nearer to their target's centre),
 ``none``. Records lie on days that are spread over two years, some to a
 day; a record's spot is off by 1 mrad, and by 0.3 mrad that its day shares. ``truth.json`` holds it all.
 
@@ -221,7 +221,7 @@ def make(out: Path, heliostats: int, records: int, seed: int, shared: list[str])
     own_day = np.array([[of_day[h, int(d)] for d in np.take(day[h], order[h])] for h in range(heliostats)])
     off = rng.normal(0, ERROR, (heliostats, records, 2)) + own_day
     seen[..., [0, 2]] += off * distance
-    seen = centres[number] + (seen - centres[number]) / (1.0 + common.get("spot_scale", 0.0))
+    seen = centres[number] + (seen - centres[number]) * (1.0 - common.get("spot_scale", 0.0))
     plant = {"power_plant_properties": {"ID": "made", "coordinates": list(ORIGIN)}}
     for target, centre in TARGETS.items():
         plant[target] = {

@@ -36,8 +36,14 @@ def joined(folder: Path) -> tuple[shared_causes.Joint, dict[str, float]]:
     sessions = {name: paint.read(folder / name) for name in truth["heliostats"]}
     first = next(iter(sessions.values()))
     many = shared_causes.causes(first.mount, first.records)
+    own = shared_causes.parameters(first, many)
     heard = [shared_causes.witness(n, s, many) for n, s in sessions.items()]
-    return shared_causes.joint(heard, many, shared_causes.parameters(first, many)), truth["shared"]
+    found = shared_causes.joint(heard, many, own)
+    if found.shared:
+        about = [shared_causes.linear_from(h, found, many, own) for h in heard]
+        heard = [shared_causes.witness(n, s, many, a) for (n, s), a in zip(sessions.items(), about, strict=True)]
+        found = shared_causes.joint(heard, many, own)
+    return found, truth["shared"]
 
 
 def shared(options: argparse.Namespace) -> None:

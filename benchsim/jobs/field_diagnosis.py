@@ -9,9 +9,7 @@ it was, and a heliostat whose files, or whose field, have changed is done again.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,9 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchsim.bench.errors import BenchsimError
-from benchsim.bench.names import file_name
-from benchsim.bench.paths import inside
-from benchsim.bench.reading import TABLE_BYTES, file_hash, load_json, read_file
+from benchsim.bench.reading import file_hash, load_json
 from benchsim.bench.writing import write_csv, write_text
 from benchsim.diagnosis.result import Size
 from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, wrong_days
@@ -34,6 +30,7 @@ from benchsim.instruments.mount.records import UNITS, Session
 from benchsim.instruments.mount.shared_causes import Joint, Shared
 from benchsim.jobs import mount_diagnosis
 from benchsim.jobs.cluster import Scheduler, cluster
+from benchsim.jobs.field_list import Heliostat, heliostats
 from benchsim.jobs.mount_diagnosis import MountDiagnosis
 from benchsim.jobs.output import begun_folder, default_folder
 from benchsim.jobs.progress import Progress, silent
@@ -45,18 +42,6 @@ FORMAT = "benchsim-field/1"
 
 ROW = "field-row.json"
 """What a field keeps of a heliostat, in its folder."""
-
-INDEX = ("id", "path")
-"""Columns that a list of heliostats has to have; ``tower`` may be a third."""
-
-
-@dataclass(frozen=True)
-class Heliostat:
-    """One heliostat of a field: its name, folder, and tower file where that was named."""
-
-    name: str
-    folder: Path
-    tower: Path | None
 
 
 @dataclass(frozen=True, repr=False)
@@ -192,17 +177,23 @@ def field(
                 yield k, result
 
         heard: dict[int, Witness] = {}
-        for k, result in all_of(witness_of, [(h,) for h in everyone], "what the heliostats share", 0.0, 0.15):
+        for k, result in all_of(witness_of, [(h,) for h in everyone], "what the heliostats share", 0.0, 0.1):
             if isinstance(result, Witness):
                 heard[k] = result
             else:
                 lost[everyone[k].name] = sentence(everyone[k], result)
-        joint = _joint([heard[k] for k in sorted(heard)], everyone)
         together = len(heard) >= shared_causes.FEWEST
         usable = [everyone[k] for k in sorted(heard)]
+        first = [heard[k] for k in sorted(heard)]
+        joint = _joint(first, everyone)
+        if joint.shared:
+            # Heard again about what was found: the first time they were linear from too far off for its size.
+            tasks = [(h, w, joint) for h, w in zip(usable, first, strict=True)]
+            again = dict(all_of(witness_of, tasks, "what the heliostats share, again", 0.1, 0.15))
+            joint = _joint([w if isinstance(w, Witness) else first[k] for k, w in sorted(again.items())], everyone)
         rows: dict[str, Mapping[str, Any]] = {}
-        tasks = [(h, (folder / h.name).absolute(), joint.shared, together, draw) for h in usable]
-        for k, result in all_of(row_of, tasks, "heliostats", 0.15, 0.97):
+        rest = [(h, (folder / h.name).absolute(), joint.shared, together, draw) for h in usable]
+        for k, result in all_of(row_of, rest, "heliostats", 0.15, 0.97):
             if isinstance(result, Mapping):
                 rows[usable[k].name] = result
             else:
@@ -229,52 +220,15 @@ def field(
     return found
 
 
-def heliostats(source: Path, tower: Path | None, allow_outside: bool = False) -> list[Heliostat]:
-    """The heliostats of a folder or of a list."""
-    if source.is_file():
-        return _listed(source, tower, allow_outside)
-    if not source.is_dir():
-        raise BenchsimError(f"{source}: no such folder; name the folder that holds the heliostats' folders, or a list")
-    inner = sorted(p for p in source.iterdir() if p.is_dir() and not p.name.startswith(".") and paint.recognises(p))
-    if not inner:
-        raise BenchsimError(
-            f"{source}: holds no folder of a heliostat's PAINT files; name the folder above them, or a CSV file with "
-            "the columns id and path"
-        )
-    unfit = next((p for p in inner if file_name(p.name) != p.name), None)
-    if unfit is not None:
-        raise BenchsimError(f"{unfit}: is no name for a heliostat; rename the folder")
-    return [Heliostat(p.name, p, tower) for p in inner]
-
-
-def _listed(source: Path, tower: Path | None, allow_outside: bool) -> list[Heliostat]:
-    try:
-        rows = list(csv.DictReader(io.StringIO(read_file(source, TABLE_BYTES).decode("utf-8-sig"))))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise BenchsimError(f"{source}: is no list of heliostats ({error}); write a CSV with id and path") from None
-    out: dict[str, Heliostat] = {}
-    for number, row in enumerate(rows, 2):
-        missing = next((key for key in INDEX if not (row.get(key) or "").strip()), None)
-        if missing:
-            raise BenchsimError(f"{source}, line {number}: {missing}: is missing; the columns are id, path and tower")
-        name, own = row["id"].strip(), (row.get("tower") or "").strip()
-        if name in out or file_name(name) != name:
-            raise BenchsimError(f"{source}, line {number}: id: {name!r} is there twice or no name; mend it")
-        places = {
-            key: inside(source.parent, row[key].strip(), f"{source}, line {number}: {key}", allow_outside=allow_outside)
-            for key in ("path", *(("tower",) if own else ()))
-        }
-        out[name] = Heliostat(name, places["path"], places.get("tower", tower))
-    if not out:
-        raise BenchsimError(f"{source}: lists no heliostat; write a line for each, with id and path")
-    return list(out.values())
-
-
 @threadpool_limits.wrap(limits=1)
-def witness_of(heliostat: Heliostat) -> Witness:
-    """What one heliostat says of what the field shares."""
+def witness_of(heliostat: Heliostat, before: Witness | None = None, found: Joint | None = None) -> Witness:
+    """What one heliostat says of what the field shares, at first and once more about what was ``found``."""
     session = witnesses.distinct(paint.read(heliostat.folder, heliostat.tower))
-    return shared_causes.witness(heliostat.name, session, shared_causes.causes(session.mount, session.records))
+    many = shared_causes.causes(session.mount, session.records)
+    about = None
+    if before is not None and found is not None:
+        about = shared_causes.linear_from(before, found, many, shared_causes.parameters(session, many))
+    return shared_causes.witness(heliostat.name, session, many, about)
 
 
 def _joint(heard: Sequence[Witness], everyone: Sequence[Heliostat]) -> Joint:

@@ -32,7 +32,7 @@ from benchsim.intake.photo import read_photo
 from benchsim.jobs import reporting
 from benchsim.jobs.detector_files import read_record
 from benchsim.jobs.drone_places import gps, read_positions
-from benchsim.jobs.field_diagnosis import heliostats
+from benchsim.jobs.field_list import heliostats
 from benchsim.plant import files as plants
 from benchsim.trial import ledger
 

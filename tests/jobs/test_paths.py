@@ -16,7 +16,7 @@ from benchsim import jobs
 from benchsim.bench.errors import BenchsimError
 from benchsim.bench.files import read
 from benchsim.cli import app
-from benchsim.jobs.field_diagnosis import heliostats
+from benchsim.jobs.field_list import heliostats
 
 CORPUS = Path(__file__).resolve().parents[1] / "hostile" / "corpus"
 BENCH = (CORPUS / "recording" / "recording.toml").read_text()

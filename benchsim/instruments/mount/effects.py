@@ -195,7 +195,7 @@ CATALOGUE: tuple[Entry, ...] = (
         "spot-scale",
         "target",
         (Term("spot_scale", "1", 0.0, 0.1),),
-        "The camera that measures spots has another scale: they lie further from their target's centre, by that part.",
+        "The camera that measures spots has another scale: it shows them nearer to the target's centre, by that part.",
         "Calibrate the camera's scale by the target's corners.",
         "similarity of triangles in a camera",
         observes="spot",
