@@ -77,7 +77,11 @@ class Likelihood:
 
     def sets(self, s: Array) -> Array:
         """ln Z_i(s) of every heliostat's sets, (H, m)."""
-        return np.asarray(self.log_z + self.projection @ s - 0.5 * np.einsum("hmij,i,j->hm", self.gram, s, s))
+        return np.asarray(self.log_z + (self.projection - 0.5 * self.along(s)) @ s)
+
+    def along(self, s: Array) -> Array:
+        """G s of every heliostat's sets, (H, m, k)."""
+        return np.asarray((self.gram.reshape(self.log_z.size * len(s), len(s)) @ s).reshape(self.projection.shape))
 
     def each(self, s: Array) -> Array:
         """ln of every heliostat's factor of L(s), (H,)."""
@@ -113,28 +117,34 @@ class Likelihood:
 
     def peak(self, places: list[int]) -> tuple[float, Array, Array]:
         """ln of the evidence with some parameters free, and their posterior mean and 1 sigma."""
-        b, g = self.projection[:, :, places], self.gram[:, :, places][:, :, :, places]
+        b, g = (np.ascontiguousarray(x) for x in (self.projection[:, :, places], self.gram[:, :, places][..., places]))
         some = replace(self, projection=b, gram=g)
         if not places:
             return float(some.each(np.zeros(0)).sum()), np.zeros(0), np.zeros(0)
 
-        def slopes(s: Array) -> tuple[float, Array, Array]:
+        def shares(s: Array) -> tuple[Array, Array, Array]:
+            """ln of every heliostat's factor, its sets' weights, and their slopes."""
             each = some.each(s)
-            weight = np.exp(np.log1p(-OWN) + some.sets(s) - each[:, None])
-            slope = b - g @ s
+            return each, np.exp(np.log1p(-OWN) + some.sets(s) - each[:, None]), b - some.along(s)
+
+        def fallen(s: Array) -> tuple[float, Array]:
+            each, weight, slope = shares(s)
+            return -float(each.sum() - 0.5 * s @ s), s - np.tensordot(weight, slope, 2)
+
+        def curvature(s: Array) -> Array:
+            _, weight, slope = shares(s)
             mean = np.einsum("hm,hmi->hi", weight, slope)
-            curved = np.einsum("hm,hmij->ij", weight, g) - np.einsum("hm,hmi,hmj->ij", weight, slope, slope)
-            value = float(each.sum() - 0.5 * s @ s)
-            return value, mean.sum(axis=0) - s, curved + mean.T @ mean + np.eye(len(s))
+            heavy = (weight[:, :, None] * slope).reshape(-1, len(s))
+            return np.asarray(
+                np.tensordot(weight, g, 2) - heavy.T @ slope.reshape(-1, len(s)) + mean.T @ mean + np.eye(len(s))
+            )
 
         lone = np.linalg.solve(g + np.eye(len(places)), b[..., None])[..., 0]
         first = lone[np.arange(len(lone)), np.argmax(self.log_z + 0.5 * (b * lone).sum(axis=2), axis=1)]
-        ends = [
-            minimize(lambda s: [-v for v in slopes(s)[:2]], start, jac=True, method="BFGS")
-            for start in (np.zeros(len(places)), np.median(first, axis=0))
-        ]
+        starts = (np.zeros(len(places)), np.median(first, axis=0))
+        ends = [minimize(fallen, start, jac=True, method="BFGS") for start in starts]
         middle = min(ends, key=lambda e: e.fun).x
-        values, turn = np.linalg.eigh(slopes(middle)[2])
+        values, turn = np.linalg.eigh(curvature(middle))
         shape = (turn / np.maximum(values, 1e-9)) @ turn.T
         total = 0.0
         for again in range(ROUNDS):
