@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from benchsim.diagnosis import settings
+
 
 def allowed(named: list[str], classes: list[list[list[str]]]) -> list[set[str]]:
     """Every set of effects that a diagnosis allows: its effects plus one member of each class."""
@@ -15,7 +17,9 @@ def allowed(named: list[str], classes: list[list[list[str]]]) -> list[set[str]]:
 
 
 def nameable(truth: Mapping[str, Any], withheld: list[str]) -> set[str]:
-    """Effects that the judge could have named rightly."""
+    """What the judge could have named rightly: effects, or that settings are further off than stated."""
+    if truth["kind"] == "clean-settings":
+        return {settings.NAME}
     return set() if truth["zero"] else set(truth["effects"]) - set(withheld)
 
 
@@ -31,8 +35,8 @@ def cause(truth: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, withhel
     -------
     outcome : {"right", "class", "missed", "wrong", ""}
         right: named exactly; nothing said where nothing is; located rightly where nothing could be named. class: left
-        open, the truth among what is. missed: less than what is there. wrong: a name or place that is not there. "":
-        no verdict.
+        open, the truth (nothing, where nothing is) among what is. missed: less than what is there. wrong: a name or
+        place that is not there. "": no verdict.
     note : str
     """
     if diagnosis is None:
@@ -46,6 +50,8 @@ def cause(truth: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, withhel
     if false:
         return "wrong", f"{' and '.join(false)} {'is' if len(false) == 1 else 'are'} not there"
     if outside(truth):
+        if classes and set() in sets:
+            return "missed", "perhaps nothing, or alternatives of which none is there"
         if classes:
             return "wrong", "alternatives of which none is there"
         if where is not None and where["claimed"]:
@@ -54,7 +60,7 @@ def cause(truth: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, withhel
         return "missed", "seen, but not where" if verdict != "nothing-missing" else "not seen"
     if verdict == "nothing-missing" and not true:
         return "right", ""
-    if not true:
+    if not true and not (classes and true in sets):
         return "wrong", "nothing is there"
     if verdict == "named" and set(named) == true:
         return "right", ""
@@ -93,6 +99,8 @@ def shared(truth: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> bool:
 
 def concealed_in_words(truth: Mapping[str, Any]) -> str:
     """For tables: ``screen-bow + canting``; what could not be named in brackets."""
+    if truth["kind"] == "clean-settings":
+        return settings.NAME
     if truth["zero"] or truth["kind"].startswith("clean"):
         return "nothing"
     if truth["stranger"]:

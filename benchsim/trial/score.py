@@ -169,7 +169,7 @@ def bars(
         return claims.lone_wrong(t, d, lacks)
 
     def said(t: Plain, d: Plain) -> bool:
-        return bool(d["effects"] or d["classes"])
+        return wrong(t, d) or bool(d["classes"])
 
     out = []
     singles, pairs = ("single", "below-the-settings"), ("pair", "below-another")
@@ -208,9 +208,10 @@ def bars(
     for kind, title, bar in (
         ("clean", "nothing concealed: anything named", 0.02),
         ("clean-speckle", "nothing concealed, speckle: anything named", 0.05),
-        ("clean-settings", "nothing concealed, setting errors × 3: anything named", 0.05),
+        ("clean-settings", "setting errors × 3: anything else named", 0.05),
     ):
         out.append(rate(title, of(kind), said, bar, False))
+    out.append(rate("setting errors × 3: setting-errors, or a class that holds it", of("clean-settings"), holds, 0.9))
     zero = [c for c in cases if c[0]["zero"]]
     if zero:
         out.append(rate("amplitudes set to zero: anything named", zero, said, 0.02, False))
@@ -237,7 +238,7 @@ def bars(
         )
     out += _sizes_bars([s for t, d in every if exact(t, d) for s in sizes_of(t, d)])
     # The first share is of names that are right, as the bar has it; a law stands for what has no name.
-    told = [(t, d) for t, d in every if exact(t, d) or d["law"] is not None]
+    told = [(t, d) for t, d in every if (t["effects"] and exact(t, d)) or d["law"] is not None]
     for title, excess in (
         ("settings that the judge never saw", [kept_back.get(t["case"]) for t, _ in told]),
         ("left-out settings, by the judge", [d["fit"]["held_out"] for _, d in told]),
@@ -334,7 +335,7 @@ def power(cases: Sequence[tuple[Plain, Plain | None]], withheld: Sequence[str]) 
     """Per effect: how often it is named, or in a class, by its SNR; "every effect" first."""
     seen: dict[str, list[tuple[float, bool]]] = {"every effect": []}
     for truth, diagnosis in cases:
-        for name in sorted(claims.nameable(truth, list(withheld))):
+        for name in sorted(claims.nameable(truth, list(withheld)) & set(truth["snr"])):
             found = diagnosis is not None and (
                 name in {e["name"] for e in diagnosis["effects"]}
                 or any(name in m for c in diagnosis["classes"] for m in c["members"])
