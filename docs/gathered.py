@@ -25,6 +25,7 @@ ROOMS = {
     "rays": "benchsim/rays/README.md",
     "trials": "benchsim/trial/README.md",
     "published-trial": "analysis/trial/README.md",
+    "trial-before": "analysis/trial/d4ec409.md",
     "study": "analysis/study/README.md",
     "phone": "scenes/phone/README.md",
 }
