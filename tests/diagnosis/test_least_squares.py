@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -136,6 +137,28 @@ def test_tasks_that_step_together_end_where_each_does_alone():
     together = solved(model, tasks)
     for end, alone in zip(together, (solved(model, [t])[0] for t in tasks), strict=True):
         assert (end.theta == alone.theta).all() and end.cost == alone.cost
+
+
+def test_errors_of_days_that_are_eliminated_first_end_where_all_at_once_do():
+    """Twelve days of four data each have an error of their own; two parameters bend the prediction, a third is held by
+    its bound, and so is one of the days."""
+    rng = np.random.default_rng(2)
+    x, day = np.linspace(0.0, 2.0, 48), np.repeat(np.arange(12), 4)
+    of_day = (day[:, None] == np.arange(12)).astype(float)
+    y = 2.0 * np.exp(-0.7 * x) + of_day @ rng.normal(0, 0.5, 12) + rng.normal(0, 0.05, 48)
+
+    def model(theta):
+        return 20 * (y - theta[0] * np.exp(-theta[1] * x) + theta[2] ** 2 * x - of_day @ theta[3:])
+
+    whole = task([1.0, 1.0, 0.3, *np.zeros(12)], precision=1.0, rows=48)
+    whole.high[[2, 7]] = 0.4, 0.5
+    whole.acts[:, 3:] = of_day > 0
+    apart = replace(whole, alone=np.arange(15) > 2)
+    (one,), (other,) = solved(model, [whole]), solved(model, [apart])
+    assert one.converged and other.converged
+    # A thousandth of a sigma.
+    np.testing.assert_allclose(other.theta, one.theta, atol=2.5e-5)
+    assert other.theta[[2, 7]].tolist() == [0.4, 0.5]
 
 
 def test_without_exact_derivatives_a_fit_follows_its_steps_and_changes_nothing_where_a_parameter_does_not_act():
