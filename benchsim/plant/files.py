@@ -288,11 +288,11 @@ def _errors(
 
 def _check(plant: Plant, table: Path) -> None:
     f, file = plant.field, plant.path.name
-    near = (
-        cKDTree(f.position).query(f.position, k=min(2, len(f)))[0].reshape(len(f), -1)[:, -1]
-        if len(f) > 1
-        else np.full(1, np.inf)
-    )
+    # Apart from those at one place: of many such a tree makes as many steps as there are pairs.
+    places = np.unique(f.position, axis=0, return_index=True)[1]
+    near = np.where(np.isin(np.arange(len(f)), places), np.inf, 0.0)
+    if len(places) > 1:
+        near[places] = cKDTree(f.position[places]).query(f.position[places], k=2)[0][:, 1]
     k = int(np.argmin(near / np.minimum(f.width, f.height)))
     if near[k] < NEAREST * min(f.width[k], f.height[k]):
         raise BenchsimError(

@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import shutil
 import struct
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from benchsim.cli import app
 from benchsim.instruments.mount import pointing, stated
 from benchsim.instruments.mount.json_values import load
 from benchsim.instruments.mount.mark_templates import read_templates
+from benchsim.plant import files as plants
 from benchsim.trace import extract_pixels
 from benchsim.trace.counts import read_counts
 
@@ -103,6 +105,16 @@ def jpeg(width, height):
     whole = cv2.imencode(".jpg", np.zeros((16, 16), np.uint8))[1].tobytes()
     at = whole.index(b"\xff\xc0") + 5
     return whole[:at] + struct.pack(">HH", height, width) + whole[at + 4 :]
+
+
+def test_many_heliostats_at_one_place_are_one_sentence(tmp_path):
+    """Forty thousand: pairs of them would take as many steps as there are pairs."""
+    shutil.copytree(Path(__file__).parent / "corpus" / "plant-soltrace", tmp_path / "plant")
+    (tmp_path / "plant" / "layout.csv").write_text("1,10,60,1,0,0,30,0,r,5,6\n" * 40_000)
+    start = time.process_time()
+    with pytest.raises(BenchsimError, match=r"layout.csv: 2 and another stand 0 m apart"):
+        plants.read(tmp_path / "plant" / "plant.toml")
+    assert time.process_time() - start < 2.0
 
 
 @pytest.mark.parametrize("made", [png, tiff, jpeg])
