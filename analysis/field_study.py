@@ -24,8 +24,9 @@ from typing import Any
 import field_made
 import numpy as np
 
-from benchsim.instruments.mount import paint, shared_causes
-from benchsim.jobs.field_diagnosis import field
+from benchsim.instruments.mount import shared_causes
+from benchsim.jobs.field_diagnosis import field, hear
+from benchsim.jobs.field_list import heliostats
 
 KINDS = ("target", "tower", "clock", "refraction", "camera", "none")
 
@@ -33,16 +34,8 @@ KINDS = ("target", "tower", "clock", "refraction", "camera", "none")
 def joined(folder: Path) -> tuple[shared_causes.Joint, dict[str, float]]:
     """What a field says that its heliostats share, and the truth."""
     truth = json.loads((folder / "truth.json").read_text())
-    sessions = {name: paint.read(folder / name) for name in truth["heliostats"]}
-    first = next(iter(sessions.values()))
-    many = shared_causes.causes(first.mount, first.records)
-    own = shared_causes.parameters(first, many)
-    heard = [shared_causes.witness(n, s, many) for n, s in sessions.items()]
-    found = shared_causes.joint(heard, many, own)
-    if found.shared:
-        about = [shared_causes.linear_from(h, found, many, own) for h in heard]
-        heard = [shared_causes.witness(n, s, many, a) for (n, s), a in zip(sessions.items(), about, strict=True)]
-        found = shared_causes.joint(heard, many, own)
+    everyone = heliostats(folder, None)
+    _, found, _ = hear(everyone, lambda function, tasks, *_: enumerate(function(*task) for task in tasks))
     return found, truth["shared"]
 
 

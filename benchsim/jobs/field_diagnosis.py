@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from benchsim.diagnosis.result import Size
 from benchsim.instruments.mount import misses, paint, shared_causes, witnesses, wrong_days
 from benchsim.instruments.mount.field_likelihood import Witness
 from benchsim.instruments.mount.records import UNITS, Session
-from benchsim.instruments.mount.shared_causes import Joint, Shared
+from benchsim.instruments.mount.shared_causes import About, Joint, Shared
 from benchsim.jobs import mount_diagnosis
 from benchsim.jobs.cluster import Scheduler, cluster
 from benchsim.jobs.field_list import Heliostat, heliostats
@@ -166,7 +166,6 @@ def field(
     folder = Path(output) if output is not None else default_folder(source, "field")
     everyone = heliostats(source, tower, allow_outside)
     begun_folder(folder, "field", everyone[0].folder)
-    lost: dict[str, str] = {}
     with cluster(scheduler, workers) as each:
 
         def all_of(
@@ -176,24 +175,12 @@ def field(
                 progress(f"{what} ({done} of {len(tasks)})", start + (end - start) * done / len(tasks))
                 yield k, result
 
-        heard: dict[int, Witness] = {}
-        for k, result in all_of(witness_of, [(h,) for h in everyone], "what the heliostats share", 0.0, 0.1):
-            if isinstance(result, Witness):
-                heard[k] = result
-            else:
-                lost[everyone[k].name] = sentence(everyone[k], result)
+        heard, joint, lost = hear(everyone, all_of)
         together = len(heard) >= shared_causes.FEWEST
         usable = [everyone[k] for k in sorted(heard)]
-        first = [heard[k] for k in sorted(heard)]
-        joint = _joint(first, everyone)
-        if joint.shared:
-            # Heard again about what was found: the first time they were linear from too far off for its size.
-            tasks = [(h, w, joint) for h, w in zip(usable, first, strict=True)]
-            again = dict(all_of(witness_of, tasks, "what the heliostats share, again", 0.1, 0.15))
-            joint = _joint([w if isinstance(w, Witness) else first[k] for k, w in sorted(again.items())], everyone)
         rows: dict[str, Mapping[str, Any]] = {}
-        rest = [(h, (folder / h.name).absolute(), joint.shared, together, draw) for h in usable]
-        for k, result in all_of(row_of, rest, "heliostats", 0.15, 0.97):
+        tasks = [(h, (folder / h.name).absolute(), joint.shared, together, draw) for h in usable]
+        for k, result in all_of(row_of, tasks, "heliostats", 0.15, 0.97):
             if isinstance(result, Mapping):
                 rows[usable[k].name] = result
             else:
@@ -220,30 +207,60 @@ def field(
     return found
 
 
-@threadpool_limits.wrap(limits=1)
-def witness_of(heliostat: Heliostat, before: Witness | None = None, found: Joint | None = None) -> Witness:
-    """What one heliostat says of what the field shares, at first and once more about what was ``found``."""
-    session = witnesses.distinct(paint.read(heliostat.folder, heliostat.tower))
-    many = shared_causes.causes(session.mount, session.records)
-    about = None
-    if before is not None and found is not None:
-        about = shared_causes.linear_from(before, found, many, shared_causes.parameters(session, many))
-    return shared_causes.witness(heliostat.name, session, many, about)
+def hear(
+    everyone: Sequence[Heliostat], all_of: Callable[..., Iterable[tuple[int, Any]]]
+) -> tuple[dict[int, Witness], Joint, dict[str, str]]:
+    """What the heliostats share; heard are all, and once more about what was found.
 
+    Parameters
+    ----------
+    everyone : sequence of Heliostat
+        Those of another plant's targets are no witnesses of this one's.
+    all_of : callable
+        Of a function, its tasks, what they are, and the progress at start and end: each task's number and result.
 
-def _joint(heard: Sequence[Witness], everyone: Sequence[Heliostat]) -> Joint:
-    """What the heliostats share; those of another plant's targets are no witnesses of this one's."""
+    Returns
+    -------
+    heard : dict of int to Witness
+        Heliostats that can be used, as they were heard first.
+    joint : Joint
+    lost : dict of str to str
+        By name, what kept the others from being used.
+    """
+    heard: dict[int, Witness] = {}
+    lost: dict[str, str] = {}
+    for k, result in all_of(witness_of, [(h,) for h in everyone], "what the heliostats share", 0.0, 0.1):
+        if isinstance(result, Witness):
+            heard[k] = result
+        else:
+            lost[everyone[k].name] = sentence(everyone[k], result)
     if len(heard) < shared_causes.FEWEST:
-        return Joint((), ())
-    width = {w.projection.shape[1] for w in heard}
-    if len(width) > 1:
+        return heard, Joint((), ()), lost
+    if len({w.projection.shape[1] for w in heard.values()}) > 1:
         raise BenchsimError(
             f"{everyone[0].folder.parent}: the heliostats' tower files list different targets; name one with --tower"
         )
-    first = next(h for h in everyone if h.name == heard[0].name)
+    first = everyone[min(heard)]
     session = paint.read(first.folder, first.tower)
     many = shared_causes.causes(session.mount, session.records)
-    return shared_causes.joint(heard, many, shared_causes.parameters(session, many))
+    own = shared_causes.parameters(session, many)
+    usable = sorted(heard)
+    joint = shared_causes.joint([heard[k] for k in usable], many, own)
+    if joint.shared:
+        # The first time they were linear from too far off for the size of what was found.
+        tasks = [(everyone[k], shared_causes.linear_from(heard[k], joint, many, own)) for k in usable]
+        again = dict(all_of(witness_of, tasks, "what the heliostats share, again", 0.1, 0.15))
+        both = [again[i] if isinstance(again[i], Witness) else heard[k] for i, k in enumerate(usable)]
+        joint = shared_causes.joint(both, many, own)
+    return heard, joint, lost
+
+
+@threadpool_limits.wrap(limits=1)
+def witness_of(heliostat: Heliostat, about: About | None = None) -> Witness:
+    """What one heliostat says of what the field shares."""
+    session = witnesses.distinct(paint.read(heliostat.folder, heliostat.tower))
+    many = shared_causes.causes(session.mount, session.records)
+    return shared_causes.witness(heliostat.name, session, many, about)
 
 
 def row_of(

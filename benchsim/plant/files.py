@@ -290,9 +290,8 @@ def _check(plant: Plant, table: Path) -> None:
     f, file = plant.field, plant.path.name
     # Apart from those at one place: of many such a tree makes as many steps as there are pairs.
     places = np.unique(f.position, axis=0, return_index=True)[1]
-    near = np.where(np.isin(np.arange(len(f)), places), np.inf, 0.0)
-    if len(places) > 1:
-        near[places] = cKDTree(f.position[places]).query(f.position[places], k=2)[0][:, 1]
+    near = np.zeros(len(f))
+    near[places] = cKDTree(f.position[places]).query(f.position[places], k=2)[0][:, 1]
     k = int(np.argmin(near / np.minimum(f.width, f.height)))
     if near[k] < NEAREST * min(f.width[k], f.height[k]):
         raise BenchsimError(

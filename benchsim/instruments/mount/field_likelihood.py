@@ -77,7 +77,10 @@ class Likelihood:
 
     def sets(self, s: Array) -> Array:
         """ln Z_i(s) of every heliostat's sets, (H, m)."""
-        return np.asarray(self.log_z + (self.projection - 0.5 * self.along(s)) @ s)
+        return self._sets(s, self.along(s))
+
+    def _sets(self, s: Array, along: Array) -> Array:
+        return np.asarray(self.log_z + (self.projection - 0.5 * along) @ s)
 
     def along(self, s: Array) -> Array:
         """G s of every heliostat's sets, (H, m, k)."""
@@ -85,7 +88,9 @@ class Likelihood:
 
     def each(self, s: Array) -> Array:
         """ln of every heliostat's factor of L(s), (H,)."""
-        z = self.sets(s)
+        return self._each(self.sets(s))
+
+    def _each(self, z: Array) -> Array:
         both = np.concatenate([np.log1p(-OWN) + z, (np.log(OWN) + self.own)[:, None]], axis=1)
         return np.asarray(logsumexp(both, axis=1))
 
@@ -124,8 +129,10 @@ class Likelihood:
 
         def shares(s: Array) -> tuple[Array, Array, Array]:
             """ln of every heliostat's factor, its sets' weights, and their slopes."""
-            each = some.each(s)
-            return each, np.exp(np.log1p(-OWN) + some.sets(s) - each[:, None]), b - some.along(s)
+            along = some.along(s)
+            z = some._sets(s, along)
+            each = some._each(z)
+            return each, np.exp(np.log1p(-OWN) + z - each[:, None]), b - along
 
         def fallen(s: Array) -> tuple[float, Array]:
             each, weight, slope = shares(s)
