@@ -165,32 +165,56 @@ def diagnosed(problem: Problem, truth: draw.Truth, sampled: bool) -> tuple[Diagn
     return d, {**verdict_of(displacement.sized(problem, d)), **line}
 
 
-def traces_case(row: str, seed: int, case: int, fresh: int, sampled: bool) -> Iterator[Part]:
-    """One case of the traces' tier; of every so many cases a fresh recording is diagnosed against what was put in."""
+@dataclass(frozen=True)
+class Traces:
+    """Data of the traces' tier: what is concealed in them, the parameters they are drawn at, and the generator as it
+    stands then; ``true``: the problem with the fields of a stranger, where there is one."""
+
+    on: Stage
+    truth: draw.Truth
+    values: dict[str, float]
+    at: dict[str, float]
+    true: Problem | None
+    data: draw.Array
+    rng: np.random.Generator
+
+    def drawn(self, at: dict[str, float], about: Problem) -> draw.Array:
+        """Data about a simulation in doubt, with noise that is new."""
+        nominal, lit = self.on.sight.problem, self.true or self.on.sight.problem
+        return draw.noisy(nominal, predict_all(lit, at) - lit.data + about.data, self.truth, self.rng)
+
+
+def traces(row: str, seed: int, case: int) -> Traces:
+    """One case's data."""
     rng = rng_of(seed, "traces", row, case)
     on = stage("traces", design(row), seed, case, 1)
-    recording, nominal = on.recording, on.sight.problem
-    truth, values = draw.conceal(row, recording, on.sight, rng)
-    bent = replace(recording, fields=truth.fields)
+    truth, values = draw.conceal(row, on.recording, on.sight, rng)
+    bent = replace(on.recording, fields=truth.fields)
     true = bench_problem.build(bent, on.observed, attached=False) if truth.fields else None
+    at = {**draw.nuisances(on.sight.problem, truth, rng), **values}
+    made = Traces(on, truth, values, at, true, np.zeros(0), rng)
+    return replace(made, data=made.drawn(at, on.sight.problem))
+
+
+def traces_case(row: str, seed: int, case: int, fresh: int, sampled: bool) -> Iterator[Part]:
+    """One case of the traces' tier; of every so many cases a fresh recording is diagnosed against what was put in."""
+    made = traces(row, seed, case)
+    on, truth, nominal = made.on, made.truth, made.on.sight.problem
     yield {
         "truth": draw.plain(truth),
         "truth_element": draw.element_of(nominal, truth),
-        **draw.visible(truth, on.sight, values, true),
+        **draw.visible(truth, on.sight, made.values, made.true),
     }
-    lit = true or nominal
-    at = {**draw.nuisances(nominal, truth, rng), **values}
-    data = draw.noisy(nominal, predict_all(lit, at) - lit.data + nominal.data, truth, rng)
-    d, line = diagnosed(without(replace(nominal, data=data), row, truth), truth, sampled)
+    d, line = diagnosed(without(replace(nominal, data=made.data), row, truth), truth, sampled)
     yield line
     if fresh and case % fresh == fresh - 1:
-        amended = amended_file.amended(recording, d)
-        if amended_file.put_in(recording, amended):
+        amended = amended_file.amended(on.recording, d)
+        if amended_file.put_in(on.recording, amended):
             # The same bench set up once more: errors of the settings and noise are new, its beam and lenses are not.
-            new = draw.nuisances(nominal, truth, rng)
-            again = at | {p.name: new[p.name] for p in nominal.nuisances if p.scaled}
+            new = draw.nuisances(nominal, truth, made.rng)
+            again = made.at | {p.name: new[p.name] for p in nominal.nuisances if p.scaled}
             doubted = bench_problem.build(amended, on.observed)
-            data = draw.noisy(nominal, predict_all(lit, again) - lit.data + doubted.data, truth, rng)
+            data = made.drawn(again, doubted)
             yield {"fresh": diagnosis.diagnose(without(replace(doubted, data=data), row, truth)).verdict}
 
 

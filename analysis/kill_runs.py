@@ -49,7 +49,10 @@ SMALL = {
 """Of a scene: half the pixels each way."""
 
 TIMES = re.compile(rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?(\+\d\d:\d\d|Z)?")
-"""All that may differ between two runs."""
+DISK = re.compile(rb'(?<= order on disk":)\d+')
+CHAIN = re.compile(rb'"(?:hash|results|page)":"([0-9a-f]{64})"')
+"""All that may differ between two runs: times, a trial's note of where the disk put a file, and the hashes of its
+ledger, which hold both."""
 
 MARK = "BENCHSIM_KILL_RUN"
 """Environment of every process of a run, by which those that outlive it are found."""
@@ -113,12 +116,15 @@ def _of(process: psutil.Process, place: Path) -> bool:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Relative name → body of every file, without times and where it lies."""
+    """Relative name → body of every file, without where it lies and what may differ."""
     found = {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-    return {
-        name: TIMES.sub(b"", body.replace(bytes(folder), b"")) if name.endswith((".json", ".html", ".txt")) else body
-        for name, body in found.items()
-    }
+    ledgers = [body for name, body in found.items() if name.endswith(".jsonl")]
+    chained = {h: b"%d" % i for i, h in enumerate(dict.fromkeys(h for body in ledgers for h in CHAIN.findall(body)))}
+    for name, body in found.items():
+        if name.endswith((".json", ".jsonl", ".html", ".txt")):
+            body = DISK.sub(b"", TIMES.sub(b"", body.replace(bytes(folder), b"")))
+            found[name] = re.sub(rb"[0-9a-f]{64}", lambda h: chained.get(h[0], h[0]), body)
+    return found
 
 
 def left_behind(place: Path) -> list[str]:

@@ -131,12 +131,24 @@ def _rivals(s: Search, best: Solved) -> list[Effects]:
 
 
 def _fit(s: Search, sets: Sequence[Effects]) -> None:
-    """Fit sets from all their starts, some sets together, by derivatives that follow their steps."""
+    """Fit sets from all their starts, some sets together, by derivatives that follow their steps; a single effect that
+    explains something and gets lost so is begun anew with exact ones."""
     for some in (sets[i : i + TOGETHER] for i in range(0, len(sets), TOGETHER)):
         begun = [start for effects in some for start in starts(s, effects)]
         # Single effects are followed whatever they promise: larger sets begin at them.
         floor = -np.inf if any(len(e) == 1 for e in some) else s.best().fit.log_evidence - MATTERS
         _keep(s, fitted(s.context, begun, {e: s.prior(e) for e in some}, renewals=0, floor=floor))
+        rough = [(e, s.done[e].fit) for e in some if e in s.done and len(e) == 1 and not s.done[e].fit.converged]
+        for effects in [e for e, fit in rough if fit.log_evidence > s.done[()].fit.log_evidence]:
+            _afresh(s, effects)
+
+
+def _afresh(s: Search, effects: Effects) -> None:
+    """Begin a set that got lost anew with exact derivatives: where it is, and at the stated settings, or wherever it
+    begins if it does not begin there."""
+    many = starts(s, effects)
+    begun = [replace(x, race=None) for x in [x for x in many if x.race] or many]
+    _exactly(s, [at_fit(s, effects, s.done[effects]), *begun])
 
 
 def _keep(s: Search, ends: Sequence[Solved]) -> None:

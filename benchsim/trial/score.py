@@ -169,7 +169,8 @@ def bars(
         return claims.lone_wrong(t, d, lacks)
 
     def said(t: Plain, d: Plain) -> bool:
-        return wrong(t, d) or bool(d["classes"])
+        members = {e for c in d["classes"] for m in c["members"] for e in m}
+        return wrong(t, d) or bool(members - claims.nameable(t, lacks))
 
     out = []
     singles, pairs = ("single", "below-the-settings"), ("pair", "below-another")
