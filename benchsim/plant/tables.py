@@ -38,7 +38,7 @@ from benchsim.plant.schema import MOST_HELIOSTATS
 
 Array = NDArray[np.float64]
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 
 LOCAL, GEOGRAPHIC = ("east_m", "north_m", "up_m"), ("latitude_deg", "longitude_deg", "elevation_m")
 AIM = ("aim_east_m", "aim_north_m", "aim_up_m")
@@ -307,7 +307,7 @@ def diagnosed_errors(
         for part in filter(None, (p.strip().lstrip("'") for p in sizes.get(name, "").split(";"))):
             match = SIZE.fullmatch(part)
             if match and match[1] in errors:
-                value, sigma = float(match[2]), float(match[5])
+                value, sigma = float(match[2]), float(match[3])
                 if not (abs(value) <= 100 and 0 <= sigma <= 100):
                     raise BenchsimError(
                         f"{path}: sizes: {part[:60]!r} of {name} is no error of a mount; make it again with "

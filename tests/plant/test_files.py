@@ -3,6 +3,7 @@
 import math
 import re
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,16 @@ def test_a_diagnosis_is_attached_by_id(written):
     np.testing.assert_allclose([errors["IA"], errors["IE"]], [[1.5e-3, 0], [-0.5e-3, 0]])
     np.testing.assert_allclose(sigmas["IA"], [0.2e-3, 0])
     assert "1 of 2 heliostats are not in field.csv" in p.remarks[0] and "target_e_1 (1)" in p.remarks[1]
+
+
+def test_digits_without_end_are_read_in_a_blink(written):
+    """Scenario: a size of two times a thousand digits and no unit, which a pattern that may part digits in two ways
+    takes half a minute to refuse."""
+    folder = written(("[heliostats]", '[heliostats]\ndiagnosed = "field.csv"\nkinematics = "east-west"'))
+    (folder / "field.csv").write_text(FOUND.replace("IA = 1.5 ± 0.2 mrad", f"IA = {'1' * 1000} ± {'1' * 1000}"))
+    start = time.process_time()
+    assert files.read(folder).diagnosed[0]["IA"][0] == 0
+    assert time.process_time() - start < 2
 
 
 def test_the_table_of_a_diagnosis_is_a_field_too(written):
