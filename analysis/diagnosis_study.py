@@ -167,7 +167,7 @@ def diagnosed(problem: Problem, truth: draw.Truth, sampled: bool) -> tuple[Diagn
 
 @dataclass(frozen=True)
 class Traces:
-    """Data of the traces' tier: what is concealed in them, the parameters they are drawn at, and the generator as it
+    """A case of the traces' tier: what is concealed, the parameters at which data are drawn, and the generator as it
     stands then; ``true``: the problem with the fields of a stranger, where there is one."""
 
     on: Stage
@@ -175,7 +175,6 @@ class Traces:
     values: dict[str, float]
     at: dict[str, float]
     true: Problem | None
-    data: draw.Array
     rng: np.random.Generator
 
     def drawn(self, at: dict[str, float], about: Problem) -> draw.Array:
@@ -185,15 +184,13 @@ class Traces:
 
 
 def traces(row: str, seed: int, case: int) -> Traces:
-    """One case's data."""
+    """One case."""
     rng = rng_of(seed, "traces", row, case)
     on = stage("traces", design(row), seed, case, 1)
     truth, values = draw.conceal(row, on.recording, on.sight, rng)
     bent = replace(on.recording, fields=truth.fields)
     true = bench_problem.build(bent, on.observed, attached=False) if truth.fields else None
-    at = {**draw.nuisances(on.sight.problem, truth, rng), **values}
-    made = Traces(on, truth, values, at, true, np.zeros(0), rng)
-    return replace(made, data=made.drawn(at, on.sight.problem))
+    return Traces(on, truth, values, {**draw.nuisances(on.sight.problem, truth, rng), **values}, true, rng)
 
 
 def traces_case(row: str, seed: int, case: int, fresh: int, sampled: bool) -> Iterator[Part]:
@@ -205,7 +202,8 @@ def traces_case(row: str, seed: int, case: int, fresh: int, sampled: bool) -> It
         "truth_element": draw.element_of(nominal, truth),
         **draw.visible(truth, on.sight, made.values, made.true),
     }
-    d, line = diagnosed(without(replace(nominal, data=made.data), row, truth), truth, sampled)
+    data = made.drawn(made.at, nominal)
+    d, line = diagnosed(without(replace(nominal, data=data), row, truth), truth, sampled)
     yield line
     if fresh and case % fresh == fresh - 1:
         amended = amended_file.amended(on.recording, d)

@@ -10,7 +10,6 @@ more than 0.5 in more than 2 % of the cases. ln Z is compared where both estimat
 """
 
 import argparse
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +32,8 @@ WORSE, OFTEN = 0.5, 0.02
 def case(row: str, seed: int, number: int) -> dict[str, Any]:
     """What a search makes of one case, and what it costs."""
     made = study.traces(row, seed, number)
-    problem = study.without(replace(made.on.sight.problem, data=made.data), row, made.truth)
+    nominal = made.on.sight.problem
+    problem = study.without(replace(nominal, data=made.drawn(made.at, nominal)), row, made.truth)
     asked, predictions = [0], linear.predictions
 
     def counted(problem: Any, values: Any, blocks: Any) -> Any:
@@ -121,7 +121,7 @@ def main() -> None:
     if args.command == "run":
         study.run(case, args.rows.split(","), args.cases, args.seed, args.out, args.workers)
     else:
-        print(compare(*([json.loads(line) for line in p.read_text().splitlines()] for p in (args.old, args.new))))
+        print(compare(study.read([args.old]), study.read([args.new])))
 
 
 if __name__ == "__main__":

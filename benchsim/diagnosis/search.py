@@ -140,15 +140,14 @@ def _fit(s: Search, sets: Sequence[Effects]) -> None:
         _keep(s, fitted(s.context, begun, {e: s.prior(e) for e in some}, renewals=0, floor=floor))
         rough = [(e, s.done[e].fit) for e in some if e in s.done and len(e) == 1 and not s.done[e].fit.converged]
         for effects in [e for e, fit in rough if fit.log_evidence > s.done[()].fit.log_evidence]:
-            _afresh(s, effects)
+            _afresh(s, effects, [x for x in begun if x.hypothesis.names == effects])
 
 
-def _afresh(s: Search, effects: Effects) -> None:
-    """Begin a set that got lost anew with exact derivatives: where it is, and at the stated settings, or wherever it
-    begins if it does not begin there."""
-    many = starts(s, effects)
-    begun = [replace(x, race=None) for x in [x for x in many if x.race] or many]
-    _exactly(s, [at_fit(s, effects, s.done[effects]), *begun])
+def _afresh(s: Search, effects: Effects, begun: Sequence[Start]) -> None:
+    """Follow a set that got lost with exact derivatives: from where it is, and from the stated settings, or from all of
+    its starts where none is there."""
+    chosen = [x for x in begun if x.race] or begun
+    _exactly(s, [at_fit(s, effects, s.done[effects]), *(replace(x, race=None) for x in chosen)])
 
 
 def _keep(s: Search, ends: Sequence[Solved]) -> None:

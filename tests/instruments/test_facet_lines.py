@@ -66,7 +66,7 @@ def parting_points(curve, s, distance):
 
 def test_the_parting_of_many_lines_is_their_mean_square_lean_times_the_levers_square():
     rng = np.random.default_rng(5)
-    for exposure in RECORDING.exposures[:1]:
+    for exposure in RECORDING.exposures[:2]:
         across, pose, ridge, lever = shown(exposure, TILTS, rng)
         found = facet_lines.parted(RECORDING, exposure, across, pose, 0.7, ridge)
         assert found is not None and len(found.s) == 16
